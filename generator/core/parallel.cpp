@@ -1,0 +1,23 @@
+#include "generator/core/parallel.h"
+
+#include <pmmintrin.h>
+#include <sched.h>
+#include <xmmintrin.h>
+
+#include <algorithm>
+
+namespace moomill {
+
+void set_float_state() {
+  _MM_SET_FLUSH_ZERO_MODE(_MM_FLUSH_ZERO_ON);
+  _MM_SET_DENORMALS_ZERO_MODE(_MM_DENORMALS_ZERO_ON);
+}
+
+int hardware_threads() {
+  cpu_set_t set;
+  CPU_ZERO(&set);
+  if (sched_getaffinity(0, sizeof set, &set) == 0) return std::max(1, CPU_COUNT(&set));
+  return 1;
+}
+
+}  // namespace moomill

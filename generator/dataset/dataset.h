@@ -1,0 +1,108 @@
+#pragma once
+// Datasets on disk: layout, manifest, per-frame records, journal, merge. Knows files, not rays.
+#include <filesystem>
+#include <map>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "generator/core/modality.h"
+
+namespace moomill {
+
+using Json = nlohmann::json;  // object keys come out sorted
+
+// A camera as the dataset records it. Euler angles as Blender's XYZ (camera looks along -Z, +Y up); ry is 0 for
+// NePuMoo cameras. world_to_camera is OpenCV (x right, y down, z forward), row-major 3x4.
+struct CameraRecord {
+  int id = 0;
+  dvec3 centre{0};     // metres
+  dvec3 euler_xyz{0};  // radians
+  double focal_mm = 100, sensor_mm = 36;
+  int width = 1024, height = 768;
+  std::array<double, 12> world_to_camera{};
+  double fx = 0, fy = 0, cx = 0, cy = 0;  // pixels
+};
+
+enum class Subset { main, novel_views, occlusions };
+
+// Everything that is the same for all frames of a dataset. Goes into manifest.json.
+struct Manifest {
+  std::string species = "cow";
+  Subset subset = Subset::main;
+  std::uint64_t seed = 0;
+  Json scene;                            // as resolved
+  std::vector<CameraRecord> cameras;     // when per_frame_cameras is false
+  bool per_frame_cameras = false;        // cameras drawn per frame or view are in the frame records instead
+  std::vector<std::string> coats;        // names by index
+  std::vector<int> coat_indices;         // which of them this dataset holds (all, unless --coats)
+  std::vector<std::string> animals;      // species per animal; the labelled one of `occlusions` is the last
+  std::vector<std::string> keypoint_names;
+  std::vector<std::pair<int, int>> skeleton, pairs;
+  std::vector<double> keypoint_tolerance;  // metres
+  std::vector<std::string> part_names;
+  std::vector<int> frames;               // as numbered, ascending: all frames of the whole dataset
+  std::vector<int> held_frames;          // of those, the ones this folder holds (a shard holds fewer)
+  ModalitySet modalities;
+  dvec3 nnopcs_lower{0}, nnopcs_upper{0};  // metres, the neutral box
+  std::string nnopcs_normalization = "box";
+  std::string skinning = "linear_blend";
+  std::vector<std::string> rig_files;    // per animal, relative to the dataset: rigs/<animal>.glb, used by validate
+  double reader_radius = 1.5;
+};
+
+// What is particular to one frame; goes into frames/<frame>.json together with the keypoints, occluders and hashes
+// of its views.
+struct FrameRecord {
+  int frame = 0;
+  std::vector<std::vector<dvec3>> keypoints;    // per animal, world metres
+  std::vector<std::vector<std::string>> bone_names;  // per animal; only names, for readers
+  std::vector<std::vector<dmat4>> bones;        // per animal: skinning matrices, bind-pose model space to world
+  std::vector<dmat4> placement;                 // per animal, model to world
+  std::vector<std::vector<double>> morph_weights;  // per animal
+  std::vector<CameraRecord> cameras;            // when drawn per frame or view
+  Json drawn;                                   // values drawn from distributions, by key
+};
+
+// Relative path templates of a layout for one subset, e.g. "{camera:03}/Image{frame:04}.{camera:03}.jpg" under the
+// coat's folder. One place knows them; the manifest carries them; readers use the manifest's.
+std::string coat_folder(const Manifest& manifest, int coat);
+std::filesystem::path file_of(const Manifest& manifest, Modality modality, int frame, int camera, int coat, int animal);
+
+Json manifest_to_json(const Manifest& manifest);
+Manifest manifest_from_json(const Json& json, const std::string& file);  // InputError on a foreign schema
+
+// The split of NePuMoo: chunks of 10 frames permuted by NumPy's RandomState(0).permutation; 63 : 9 : 19 of 91.
+struct Splits {
+  std::vector<int> train, validate, test;
+};
+Splits make_splits(const std::vector<int>& frames);
+
+// One folder being made. Thread-safe where said.
+class DatasetWriter {
+ public:
+  // Opens or resumes `folder`. Resuming reads the journal: frames in it are done. InputError when the folder holds
+  // a dataset of another scene or something else entirely; RunError when it cannot be written.
+  DatasetWriter(std::filesystem::path folder, Manifest manifest, int threads);
+  ~DatasetWriter();
+  bool is_complete() const;              // finished before; nothing to do
+  bool is_done(int frame) const;         // in the journal
+  void write_rig(int animal, const std::filesystem::path& made_by_caller_temporary);
+  void write_view(const View& view);     // thread-safe; encodes and writes every file of the view, keeps its record
+  void finish_frame(const FrameRecord&); // thread-safe; after all its views: record, then journal line
+  void finish();                         // keypoints.csv, parameters.cfg, manifest; removes the journal
+ private:
+  struct State;
+  std::unique_ptr<State> state_;
+};
+
+// Joins shards of one dataset. InputError when they disagree, overlap with different bytes, or leave frames out.
+void merge_datasets(const std::vector<std::filesystem::path>& shards, const std::filesystem::path& out, bool allow_missing);
+
+// 8-bit sRGB over the given linear background colour, from linear premultiplied RGBA. Rounds half up.
+Image8 to_srgb8(const ImageF& rgba, const vec3& background);
+// 8-bit NNOPCS as NePuMoo stores it: round(255 v), foreground components below half a step written as 1.
+Image8 nnopcs_to_8bit(const ImageF& nnopcs, const ImageU32& silhouette);
+
+}  // namespace moomill
