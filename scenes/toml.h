@@ -1,0 +1,59 @@
+#pragma once
+// Strict reading of TOML: every key must be known, every value of the right type and range; a mistake is one sentence
+// with file, line and mend ("scenes/a.toml:12: unknown key 'camreas' in [render]; did you mean 'cameras'?").
+// The only header that shows toml++; included by the scene, species and coat readers alone.
+#include <filesystem>
+#include <functional>
+#include <map>
+#include <optional>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "generator/core/error.h"
+#include "generator/core/math.h"
+
+#define TOML_ENABLE_FORMATTERS 1
+#include <toml++/toml.h>
+
+namespace moomill {
+
+// A table being read. Reading a key marks it as known; finish() refuses keys nobody asked for, suggesting the nearest
+// of those that were.
+class TomlReader {
+ public:
+  static toml::table parse(const std::filesystem::path& file);  // InputError with line and column
+  TomlReader(const toml::table& table, std::string file, std::string where = "");
+
+  bool has(const std::string& key);
+  double number(const std::string& key, double fallback, double lowest, double highest);
+  double number(const std::string& key, double lowest, double highest);  // required
+  std::int64_t integer(const std::string& key, std::int64_t fallback, std::int64_t lowest, std::int64_t highest);
+  bool boolean(const std::string& key, bool fallback);
+  std::string text(const std::string& key);
+  std::string text(const std::string& key, const std::string& fallback);
+  // One of the allowed words; the message lists them.
+  std::string word(const std::string& key, const std::string& fallback, const std::vector<std::string>& allowed);
+  dvec3 vector3(const std::string& key);
+  dvec3 vector3(const std::string& key, const dvec3& fallback);
+  std::vector<double> numbers(const std::string& key);
+  std::vector<std::string> texts(const std::string& key);
+  std::optional<TomlReader> table(const std::string& key);
+  std::vector<TomlReader> tables(const std::string& key);  // array of tables; empty when absent
+  const toml::node* node(const std::string& key);          // anything; nullptr when absent
+  std::vector<std::string> keys() const;                   // all keys present (for free-form tables)
+  void finish();
+
+  [[noreturn]] void fail(const std::string& key, const std::string& what) const;
+  const std::string& file() const { return file_; }
+
+ private:
+  const toml::table* table_;
+  std::string file_, where_;
+  std::set<std::string> known_;
+};
+
+// The nearest of `candidates` within a third of the word's length in edits; empty when none is near.
+std::string nearest_word(const std::string& word, const std::vector<std::string>& candidates);
+
+}  // namespace moomill
