@@ -52,8 +52,6 @@ struct MorphTarget {
   int weight_slot = 0;             // index into Pose::morph_weights
 };
 
-enum class Wrap : std::uint8_t { repeat, mirror, clamp };
-
 // An image in use by a material, with glTF's texture transform (KHR_texture_transform).
 struct TextureUse {
   int image = -1;  // index into Rig::images, -1 for none

@@ -28,6 +28,9 @@ using ImageF = Image<float>;
 using Image8 = Image<std::uint8_t>;
 using ImageU32 = Image<std::uint32_t>;
 
+// How a texture goes on beyond its border.
+enum class Wrap : std::uint8_t { repeat, mirror, clamp };
+
 // An image as it came in a file, not decoded; decoded only when something needs its pixels.
 struct EncodedImage {
   std::string name;                 // for messages

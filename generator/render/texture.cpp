@@ -1,0 +1,113 @@
+#include "generator/render/texture.h"
+
+#include "generator/core/error.h"
+
+namespace moomill {
+namespace {
+
+int wrap(int i, int n, Wrap mode) {
+  switch (mode) {
+    case Wrap::clamp: return std::clamp(i, 0, n - 1);
+    case Wrap::mirror: {
+      int k = i % (2 * n);
+      if (k < 0) k += 2 * n;
+      return k < n ? k : 2 * n - 1 - k;
+    }
+    case Wrap::repeat: break;
+  }
+  const int k = i % n;
+  return k < 0 ? k + n : k;
+}
+
+vec2 place(const TexturePlacement& p, const vec2& uv) {
+  if (p.rotation == 0) return uv * p.scale + p.offset;
+  const float c = std::cos(p.rotation), s = std::sin(p.rotation);
+  const vec2 q = uv * p.scale;
+  return vec2(c * q.x + s * q.y, -s * q.x + c * q.y) + p.offset;
+}
+
+// Texel coordinates kept where an int holds them; a UV of 1e30 in a broken file must not overflow.
+float texel_coordinate(float u, int n) {
+  const float x = u * static_cast<float>(n) - 0.5f;
+  return std::isfinite(x) ? std::clamp(x, -1e8f, 1e8f) : 0.0f;
+}
+
+}  // namespace
+
+const std::array<float, 256>& srgb_table() {
+  static const std::array<float, 256> table = [] {
+    std::array<float, 256> t{};
+    for (int i = 0; i < 256; ++i) {
+      const double s = i / 255.0;
+      t[i] = static_cast<float>(s <= 0.04045 ? s / 12.92 : std::pow((s + 0.055) / 1.055, 2.4));
+    }
+    return t;
+  }();
+  return table;
+}
+
+glm::ivec2 choose_texel(const TexturePlacement& placement, int width, int height, const vec2& uv, const vec2& xi) {
+  const vec2 q = place(placement, uv);
+  const float x = texel_coordinate(q.x, width), y = texel_coordinate(q.y, height);
+  const float x0 = std::floor(x), y0 = std::floor(y);
+  const int ix = static_cast<int>(x0) + (x - x0 > xi.x ? 1 : 0);
+  const int iy = static_cast<int>(y0) + (y - y0 > xi.y ? 1 : 0);
+  return {wrap(ix, width, placement.wrap_u), wrap(iy, height, placement.wrap_v)};
+}
+
+float texture_value(const Texture& texture, const vec2& uv, int channel) {
+  const Image8& im = texture.image;
+  const vec2 q = place(texture.placement, uv);
+  const float x = texel_coordinate(q.x, im.width), y = texel_coordinate(q.y, im.height);
+  const float x0 = std::floor(x), y0 = std::floor(y), fx = x - x0, fy = y - y0;
+  const int c = std::min(channel, im.channels - 1);
+  const int xa = wrap(static_cast<int>(x0), im.width, texture.placement.wrap_u);
+  const int xb = wrap(static_cast<int>(x0) + 1, im.width, texture.placement.wrap_u);
+  const int ya = wrap(static_cast<int>(y0), im.height, texture.placement.wrap_v);
+  const int yb = wrap(static_cast<int>(y0) + 1, im.height, texture.placement.wrap_v);
+  const float top = im.at(xa, ya, c) * (1 - fx) + im.at(xb, ya, c) * fx;
+  const float bottom = im.at(xa, yb, c) * (1 - fx) + im.at(xb, yb, c) * fx;
+  return (top * (1 - fy) + bottom * fy) / 255.0f;
+}
+
+void build_stack(Paint& paint, const std::vector<const Image8*>& images) {
+  check(!images.empty() && images.size() == paint.coats.size(), "a paint stack wants one image per coat");
+  const int w = images[0]->width, h = images[0]->height, n = static_cast<int>(images.size());
+  for (const Image8* im : images) check(im->width == w && im->height == h && im->channels >= 3, "a paint stack wants equal images");
+  paint.stack_width = w;
+  paint.stack_height = h;
+  paint.stack.resize(static_cast<std::size_t>(w) * h * 3 * n);
+  std::size_t out = 0;
+  for (std::size_t p = 0; p < static_cast<std::size_t>(w) * h; ++p)
+    for (int c = 0; c < 3; ++c)
+      for (int t = 0; t < n; ++t) paint.stack[out++] = images[t]->data[p * images[t]->channels + c];
+}
+
+void fetch_paint(const Paint& paint, const std::vector<Texture>& textures, const vec2& uv, const vec3& vertex_color,
+                 const vec2& xi, int stride, float* base) {
+  const auto& srgb = srgb_table();
+  const int n = static_cast<int>(paint.coats.size());
+  if (!paint.stack.empty()) {
+    const glm::ivec2 texel = choose_texel(paint.stack_placement, paint.stack_width, paint.stack_height, uv, xi);
+    const std::uint8_t* s =
+        &paint.stack[(static_cast<std::size_t>(texel.y) * paint.stack_width + texel.x) * 3 * n];
+    for (int c = 0; c < 3; ++c)
+      for (int t = 0; t < n; ++t) base[c * stride + t] = srgb[*s++];
+    return;
+  }
+  for (int t = 0; t < n; ++t) {
+    const Paint::PerCoat& coat = paint.coats[t];
+    vec3 color = coat.factor;
+    if (coat.texture >= 0) {
+      const Texture& tex = textures[coat.texture];
+      const glm::ivec2 texel = choose_texel(tex.placement, tex.image.width, tex.image.height, uv, xi);
+      const std::uint8_t* s = &tex.image.data[tex.image.index(texel.x, texel.y)];
+      // One and two channels are grey and grey with alpha.
+      color *= tex.image.channels >= 3 ? vec3(srgb[s[0]], srgb[s[1]], srgb[s[2]]) : vec3(srgb[s[0]]);
+    }
+    if (coat.vertex_colors) color *= vertex_color;
+    for (int c = 0; c < 3; ++c) base[c * stride + t] = color[c];
+  }
+}
+
+}  // namespace moomill
