@@ -1,0 +1,202 @@
+#include "generator/render/accel.h"
+
+#include <embree3/rtcore.h>
+
+#include <atomic>
+#include <cstring>
+
+#include "generator/core/error.h"
+
+namespace moomill {
+namespace {
+
+std::atomic<std::uint64_t> builds{0};
+
+[[noreturn]] void throw_embree(RTCError code, const char* text) {
+  if (code == RTC_ERROR_OUT_OF_MEMORY) run_error("Embree ran out of memory; use a smaller mesh or fewer threads");
+  run_error("Embree failed with error {}: {}", static_cast<int>(code), text ? text : "no description");
+}
+
+// One device for the process; threads=1 keeps builds deterministic.
+RTCDevice device() {
+  static RTCDevice shared = [] {
+    RTCDevice d = rtcNewDevice("isa=avx2,threads=1,start_threads=0,set_affinity=0");
+    if (!d) throw_embree(rtcGetDeviceError(nullptr), "no device (the processor must have AVX2)");
+    if (!rtcGetDeviceProperty(d, RTC_DEVICE_PROPERTY_RAY_MASK_SUPPORTED) ||
+        !rtcGetDeviceProperty(d, RTC_DEVICE_PROPERTY_FILTER_FUNCTION_SUPPORTED))
+      throw_embree(RTC_ERROR_UNSUPPORTED_CPU, "this build of Embree lacks ray masks or filter functions");
+    return d;
+  }();
+  return shared;
+}
+
+void check_device(const char* doing) {
+  if (const RTCError e = rtcGetDeviceError(device()); e != RTC_ERROR_NONE) throw_embree(e, doing);
+}
+
+// What the alpha filter of a geometry needs.
+struct FilterData {
+  const Scene* scene;
+  const Instance* instance;
+};
+
+bool is_cut_out(const FilterData& f, std::uint32_t triangle, float u, float v) {
+  const Surface& s = *f.instance->surface;
+  const Material& m = f.scene->materials[f.instance->materials[s.materials[triangle]]];
+  if (m.alpha_cutoff < 0) return false;
+  float alpha = m.alpha;
+  if (m.alpha_texture >= 0 && !s.uvs.empty()) {
+    const uvec3 t = s.triangles[triangle];
+    const vec2 uv = (1 - u - v) * s.uvs[t[0]] + u * s.uvs[t[1]] + v * s.uvs[t[2]];
+    const Texture& texture = f.scene->textures[m.alpha_texture];
+    if (texture.image.channels == 2 || texture.image.channels == 4)
+      alpha *= texture_value(texture, uv, texture.image.channels - 1);
+  }
+  return alpha < m.alpha_cutoff;
+}
+
+void alpha_filter(const RTCFilterFunctionNArguments* args) {
+  const auto& f = *static_cast<const FilterData*>(args->geometryUserPtr);
+  for (unsigned i = 0; i < args->N; ++i)
+    if (args->valid[i] == -1 && is_cut_out(f, RTCHitN_primID(args->hit, args->N, i), RTCHitN_u(args->hit, args->N, i),
+                                           RTCHitN_v(args->hit, args->N, i)))
+      args->valid[i] = 0;
+}
+
+}  // namespace
+
+struct Accel::State {
+  const Scene* scene;
+  BuildKind kind;
+  RTCScene embree = nullptr;
+  std::vector<RTCGeometry> geometries;
+  std::vector<FilterData> filters;
+  Box box_of_all, box_of_animals;
+  void measure() {
+    box_of_all = scene->bounds(false);
+    box_of_animals = scene->bounds(true);
+  }
+  ~State() {
+    for (RTCGeometry g : geometries) rtcReleaseGeometry(g);
+    if (embree) rtcReleaseScene(embree);
+  }
+  void copy_positions(std::size_t i) {
+    const auto& p = scene->instances[i].posed.positions;
+    void* to = rtcGetGeometryBufferData(geometries[i], RTC_BUFFER_TYPE_VERTEX, 0);
+    std::memcpy(to, p.data(), p.size() * sizeof(vec3));
+  }
+};
+
+Accel::Accel(const Scene& scene, BuildKind kind) : state_(std::make_unique<State>()) {
+  State& s = *state_;
+  s.scene = &scene;
+  s.kind = kind;
+  s.embree = rtcNewScene(device());
+  check_device("a new scene");
+  rtcSetSceneFlags(s.embree, kind == BuildKind::refit ? RTC_SCENE_FLAG_ROBUST | RTC_SCENE_FLAG_DYNAMIC : RTC_SCENE_FLAG_ROBUST);
+  rtcSetSceneBuildQuality(s.embree, RTC_BUILD_QUALITY_MEDIUM);
+  s.filters.resize(scene.instances.size());
+  for (std::size_t i = 0; i < scene.instances.size(); ++i) {
+    const Instance& instance = scene.instances[i];
+    const Surface& surface = *instance.surface;
+    check(instance.posed.positions.size() == surface.rest.size(), "an instance has another number of vertices than its surface");
+    RTCGeometry g = rtcNewGeometry(device(), RTC_GEOMETRY_TYPE_TRIANGLE);
+    s.geometries.push_back(g);
+    rtcSetGeometryBuildQuality(g, kind == BuildKind::refit ? RTC_BUILD_QUALITY_REFIT : RTC_BUILD_QUALITY_MEDIUM);
+    rtcSetNewGeometryBuffer(g, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, sizeof(vec3), instance.posed.positions.size());
+    void* indices = rtcSetNewGeometryBuffer(g, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, sizeof(uvec3), surface.triangles.size());
+    check_device("geometry buffers");
+    std::memcpy(indices, surface.triangles.data(), surface.triangles.size() * sizeof(uvec3));
+    s.copy_positions(i);
+    rtcSetGeometryMask(g, animal_mask(instance.animal));
+    s.filters[i] = {&scene, &instance};
+    bool cut_out = false;
+    for (int m : instance.materials) cut_out = cut_out || scene.materials[m].alpha_cutoff >= 0;
+    if (cut_out) {
+      rtcSetGeometryUserData(g, &s.filters[i]);
+      rtcSetGeometryIntersectFilterFunction(g, alpha_filter);
+      rtcSetGeometryOccludedFilterFunction(g, alpha_filter);
+    }
+    rtcCommitGeometry(g);
+    rtcAttachGeometryByID(s.embree, g, static_cast<unsigned>(i));
+  }
+  rtcCommitScene(s.embree);
+  check_device("building the hierarchy");
+  s.measure();
+  ++builds;
+}
+
+Accel::~Accel() = default;
+
+void Accel::update() {
+  State& s = *state_;
+  for (std::size_t i = 0; i < s.geometries.size(); ++i) {
+    s.copy_positions(i);
+    rtcUpdateGeometryBuffer(s.geometries[i], RTC_BUFFER_TYPE_VERTEX, 0);
+    rtcCommitGeometry(s.geometries[i]);
+  }
+  rtcCommitScene(s.embree);
+  check_device("updating the hierarchy");
+  s.measure();
+  ++builds;
+}
+
+SurfaceHit Accel::intersect(const Ray& ray, std::uint32_t mask) const {
+  RTCIntersectContext context;
+  rtcInitIntersectContext(&context);
+  RTCRayHit r;
+  r.ray = {ray.origin.x, ray.origin.y, ray.origin.z, ray.near, ray.direction.x, ray.direction.y, ray.direction.z, 0, ray.far, mask, 0, 0};
+  r.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+  rtcIntersect1(state_->embree, &context, &r);
+  SurfaceHit hit;
+  if (r.hit.geomID != RTC_INVALID_GEOMETRY_ID) hit = {r.hit.geomID, r.hit.primID, r.hit.u, r.hit.v, r.ray.tfar};
+  return hit;
+}
+
+bool Accel::occluded(const Ray& ray, std::uint32_t mask) const {
+  RTCIntersectContext context;
+  rtcInitIntersectContext(&context);
+  RTCRay r{ray.origin.x, ray.origin.y, ray.origin.z, ray.near, ray.direction.x, ray.direction.y, ray.direction.z, 0, ray.far, mask, 0, 0};
+  rtcOccluded1(state_->embree, &context, &r);
+  return r.tfar < 0;
+}
+
+void Accel::intersect8(Ray8& rays, bool coherent, std::uint32_t mask) const {
+  RTCIntersectContext context;
+  rtcInitIntersectContext(&context);
+  context.flags = coherent ? RTC_INTERSECT_CONTEXT_FLAG_COHERENT : RTC_INTERSECT_CONTEXT_FLAG_INCOHERENT;
+  alignas(32) RTCRayHit8 r;
+  alignas(32) int valid[8];
+  for (int i = 0; i < 8; ++i) {
+    valid[i] = rays.active[i] ? -1 : 0;
+    r.ray.org_x[i] = rays.ox[i];
+    r.ray.org_y[i] = rays.oy[i];
+    r.ray.org_z[i] = rays.oz[i];
+    r.ray.dir_x[i] = rays.dx[i];
+    r.ray.dir_y[i] = rays.dy[i];
+    r.ray.dir_z[i] = rays.dz[i];
+    r.ray.tnear[i] = rays.near[i];
+    r.ray.tfar[i] = rays.far[i];
+    r.ray.time[i] = 0;
+    r.ray.mask[i] = mask;
+    r.ray.id[i] = 0;
+    r.ray.flags[i] = 0;
+    r.hit.geomID[i] = RTC_INVALID_GEOMETRY_ID;
+    r.hit.instID[0][i] = RTC_INVALID_GEOMETRY_ID;
+  }
+  rtcIntersect8(valid, state_->embree, &context, &r);
+  for (int i = 0; i < 8; ++i) {
+    const bool hit = valid[i] && r.hit.geomID[i] != RTC_INVALID_GEOMETRY_ID;
+    rays.instance[i] = hit ? r.hit.geomID[i] : no_hit;
+    rays.triangle[i] = hit ? r.hit.primID[i] : no_hit;
+    rays.u[i] = r.hit.u[i];
+    rays.v[i] = r.hit.v[i];
+    rays.far[i] = r.ray.tfar[i];
+  }
+}
+
+const Box& Accel::bounds(bool animals_only) const { return animals_only ? state_->box_of_animals : state_->box_of_all; }
+
+std::uint64_t Accel::build_count() { return builds; }
+
+}  // namespace moomill

@@ -1,0 +1,63 @@
+#pragma once
+// Metallic-roughness surface: a diffuse base under a dielectric GGX coat (IOR 1.5), mixed with a GGX metal.
+//
+// For a pair of directions the value is A + B b + C b^2 in the base colour b, with A, B, C that no coat enters. So all
+// coats share them, and every sampling decision (made as for b = 1) is the same for every coat.
+//
+//   dielectric: D G F / (4 co ci)  +  b / pi (1 - Ed(co)) (1 - Ed(ci)) / (1 - Ed_avg)
+//               Ed: directional albedo of the specular lobe. What it does not reflect reaches the base, so a white
+//               base reflects everything at any roughness (Kulla & Conty 2017; Kelemen & Szirmay-Kalos 2001).
+//   metal:      D G F_Schlick(b) / (4 co ci) (1 + b (1 - Es) / Es), the multiple-scattering gain of Turquin 2019.
+//               Es: directional albedo of the lobe for F = 1.
+// D, G: GGX with height-correlated Smith masking; visible-normal sampling (Heitz 2018). alpha = roughness^2.
+#include <array>
+
+#include "generator/core/math.h"
+
+namespace moomill {
+
+// Coefficients of the base colour polynomial.
+struct BaseResponse {
+  float a = 0, b = 0, c = 0;
+  float at(float base) const { return a + base * (b + base * c); }
+  float white() const { return a + b + c; }
+};
+
+struct BsdfSample {
+  vec3 wi{0};       // local frame, z along the shading normal
+  float pdf = 0;    // solid angle; 0: the sample failed and carries nothing
+};
+
+// A surface point's BSDF, prepared for one outgoing direction. Directions are local, z up, unit.
+class Bsdf {
+ public:
+  Bsdf(float roughness, float metallic, const vec3& wo);
+  BaseResponse evaluate(const vec3& wi) const;  // BSDF times cos(wi), 1 / sr
+  float pdf(const vec3& wi) const;              // 1 / sr
+  BsdfSample sample(const vec2& u, float lobe) const;
+
+ private:
+  vec3 wo_;
+  float alpha_, roughness_, metallic_, specular_probability_, ed_wo_, ed_average_, es_wo_;
+  float specular_pdf(const vec3& h) const;
+};
+
+// Unpolarised Fresnel reflectance of a dielectric for light arriving with this cosine from outside.
+float fresnel_dielectric(float cosine, float ior);
+inline constexpr float bsdf_ior = 1.5f;
+// The smallest alpha in use: below it a lobe is narrower than float directions resolve.
+inline constexpr float bsdf_min_alpha = 1e-3f;
+
+float ggx_d(const vec3& h, float alpha);
+vec3 sample_ggx_visible_normal(const vec3& wo, float alpha, const vec2& u);
+vec3 sample_cosine_hemisphere(const vec2& u);
+
+// Orthonormal basis around a unit vector (Duff et al. 2017).
+struct Frame {
+  vec3 x, y, z;
+  explicit Frame(const vec3& normal);
+  vec3 to_local(const vec3& v) const { return {glm::dot(v, x), glm::dot(v, y), glm::dot(v, z)}; }
+  vec3 to_world(const vec3& v) const { return v.x * x + v.y * y + v.z * z; }
+};
+
+}  // namespace moomill

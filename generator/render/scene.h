@@ -1,0 +1,47 @@
+#pragma once
+// What is traced: plain values, parts refer to each other by index. Positions are float, relative to a double origin.
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "generator/core/math.h"
+#include "generator/core/surface.h"
+#include "generator/render/light.h"
+#include "generator/render/texture.h"
+
+namespace moomill {
+
+// A finish (what all coats share) and how base colours are found.
+struct Material {
+  float roughness = 1, metallic = 0;
+  int metallic_roughness_texture = -1;  // Scene::textures; G roughness, B metallic
+  int normal_texture = -1;
+  float normal_scale = 1;
+  int alpha_texture = -1;    // channel 3 below the cutoff is not there
+  float alpha = 1;           // multiplies the texture's alpha
+  float alpha_cutoff = -1;   // negative: opaque
+  int paint = -1;            // Scene::paints; -1 where no light is asked for
+};
+
+struct Instance {
+  const Surface* surface = nullptr;  // not owned; outlives the scene
+  PosedSurface posed;                // origin equals the scene's
+  std::vector<int> materials;        // of the surface's material indices, into Scene::materials
+  int animal = -1;                   // which animal, or -1: scenery, which has no labels
+};
+
+struct Scene {
+  dvec3 origin{0};  // metres, world
+  std::vector<Instance> instances;
+  std::vector<Material> materials;
+  std::vector<Texture> textures;
+  std::vector<Paint> paints;  // every one with coat_count coats
+  int coat_count = 0;
+  int animal_count = 0;
+  Lights lights;
+  bool environment_visible = false;  // the camera sees the environment; else the background is transparent
+
+  Box bounds(bool animals_only) const;  // relative to origin
+};
+
+}  // namespace moomill
