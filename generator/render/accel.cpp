@@ -42,13 +42,13 @@ struct FilterData {
 
 bool is_cut_out(const FilterData& f, std::uint32_t triangle, float u, float v) {
   const Surface& s = *f.instance->surface;
-  const Material& m = f.scene->materials[f.instance->materials[s.materials[triangle]]];
+  const Material& m = f.scene->material(*f.instance, triangle);
   if (m.alpha_cutoff < 0) return false;
   float alpha = m.alpha;
   if (m.alpha_texture >= 0 && !s.uvs.empty()) {
     const uvec3 t = s.triangles[triangle];
     const vec2 uv = (1 - u - v) * s.uvs[t[0]] + u * s.uvs[t[1]] + v * s.uvs[t[2]];
-    const Texture& texture = f.scene->textures[m.alpha_texture];
+    const Texture& texture = f.scene->appearance->textures[m.alpha_texture];
     if (texture.image.channels == 2 || texture.image.channels == 4)
       alpha *= texture_value(texture, uv, texture.image.channels - 1);
   }
@@ -110,9 +110,7 @@ Accel::Accel(const Scene& scene, BuildKind kind) : state_(std::make_unique<State
     s.copy_positions(i);
     rtcSetGeometryMask(g, animal_mask(instance.animal));
     s.filters[i] = {&scene, &instance};
-    bool cut_out = false;
-    for (int m : instance.materials) cut_out = cut_out || scene.materials[m].alpha_cutoff >= 0;
-    if (cut_out) {
+    if (scene.cut_out(instance)) {
       rtcSetGeometryUserData(g, &s.filters[i]);
       rtcSetGeometryIntersectFilterFunction(g, alpha_filter);
       rtcSetGeometryOccludedFilterFunction(g, alpha_filter);

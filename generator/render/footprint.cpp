@@ -93,6 +93,12 @@ std::uint64_t PixelMask::count() const {
   return n;
 }
 
+bool Scene::cut_out(const Instance& instance) const {
+  for (int m : instance.materials)
+    if (appearance->materials[m].alpha_cutoff >= 0) return true;
+  return false;
+}
+
 Box Scene::bounds(bool animals_only) const {
   Box box;
   for (const Instance& i : instances)
@@ -127,8 +133,7 @@ PixelMask outlines(const Scene& scene, const Camera& camera) {
       mask.fill();
       return mask;
     }
-    for (int m : instance.materials)
-      if (scene.materials[m].alpha_cutoff >= 0) return footprint(scene, camera, 0.5);  // holes have outlines of their own
+    if (scene.cut_out(instance)) return footprint(scene, camera, 0.5);  // holes have outlines of their own
     // Vertices split at seams share a position; edges are told apart by position, so that a seam is no outline.
     const auto& positions = instance.posed.positions;
     struct Hash {

@@ -181,7 +181,7 @@ void Lights::prepare(const vec3& centre) {
   chance_.clear();
   cdf_.clear();
   std::vector<double> power;
-  if (environment.is_map()) power.push_back(luminance(environment.mean_radiance()) * pi);
+  if (environment->is_map()) power.push_back(luminance(environment->mean_radiance()) * pi);
   for (const Sun& s : suns) power.push_back(luminance(s.irradiance));
   for (const RectangleLight& r : rectangles) {
     const vec3 d = r.corner + 0.5f * (r.edge_u + r.edge_v) - centre;
@@ -205,10 +205,10 @@ LightSample Lights::sample(const vec3& from, float xi, const vec2& u) const {
   int i = static_cast<int>(std::upper_bound(cdf_.begin(), cdf_.end(), x) - cdf_.begin());
   i = std::min(i, count() - 1);
   const float chance = chance_[i];
-  const int first_sun = environment.is_map() ? 1 : 0;
+  const int first_sun = environment->is_map() ? 1 : 0;
   LightSample s;
   if (i < first_sun)
-    s = environment.sample(u);
+    s = environment->sample(u);
   else if (i < first_sun + static_cast<int>(suns.size()))
     s = suns[i - first_sun].sample(u);
   else
@@ -221,11 +221,11 @@ vec3 Lights::seen_by_bsdf_ray(const vec3& from, const vec3& direction, float bsd
   vec3 sum(0);
   std::size_t i = 0;
   const bool leaves = surface == infinity;
-  if (environment.is_map()) {
-    if (leaves) sum += environment.radiance(direction) * power_heuristic(bsdf_pdf, environment.pdf(direction) * chance_[i]);
+  if (environment->is_map()) {
+    if (leaves) sum += environment->radiance(direction) * power_heuristic(bsdf_pdf, environment->pdf(direction) * chance_[i]);
     ++i;
   } else if (leaves) {
-    sum += environment.radiance(direction);  // a constant is sampled by the BSDF alone
+    sum += environment->radiance(direction);  // a constant is sampled by the BSDF alone
   }
   for (const Sun& s : suns) {
     const float p = leaves ? s.pdf(direction) : 0.0f;

@@ -1,5 +1,6 @@
 #pragma once
 // Lights: an environment (constant or a map), suns, rectangles. All radiances are linear Rec. 709.
+#include <memory>
 #include <optional>
 #include <vector>
 
@@ -65,7 +66,7 @@ struct RectangleLight {
 // All lights of a scene, and the choice of one per shading point. Rectangles shine but do not block, and the camera
 // does not see them or the suns.
 struct Lights {
-  Environment environment;
+  std::shared_ptr<const Environment> environment = std::make_shared<Environment>();  // black; shared by frames
   std::vector<Sun> suns;
   std::vector<RectangleLight> rectangles;
 

@@ -1,12 +1,12 @@
 #pragma once
 // What is traced: plain values, parts refer to each other by index. Positions are float, relative to a double origin.
 #include <cstdint>
+#include <memory>
 #include <string>
 #include <vector>
 
 #include "generator/core/math.h"
 #include "generator/core/surface.h"
-#include "generator/render/light.h"
 #include "generator/render/texture.h"
 
 namespace moomill {
@@ -14,33 +14,41 @@ namespace moomill {
 // A finish (what all coats share) and how base colours are found.
 struct Material {
   float roughness = 1, metallic = 0;
-  int metallic_roughness_texture = -1;  // Scene::textures; G roughness, B metallic
+  int metallic_roughness_texture = -1;  // Appearance::textures; G roughness, B metallic
   int normal_texture = -1;
   float normal_scale = 1;
   int alpha_texture = -1;    // channel 3 below the cutoff is not there
   float alpha = 1;           // multiplies the texture's alpha
   float alpha_cutoff = -1;   // negative: opaque
-  int paint = -1;            // Scene::paints; -1 where no light is asked for
+  int paint = -1;            // Appearance::paints; -1 where no light is asked for
 };
 
 struct Instance {
   const Surface* surface = nullptr;  // not owned; outlives the scene
   PosedSurface posed;                // origin equals the scene's
-  std::vector<int> materials;        // of the surface's material indices, into Scene::materials
+  std::vector<int> materials;        // of the surface's material indices, into Appearance::materials
   int animal = -1;                   // which animal, or -1: scenery, which has no labels
+};
+
+// Finishes, textures and coats: the same in every frame, so scenes share it.
+struct Appearance {
+  std::vector<Material> materials;
+  std::vector<Texture> textures;
+  std::vector<Paint> paints;  // every one with coat_count coats
+  int coat_count = 0;
 };
 
 struct Scene {
   dvec3 origin{0};  // metres, world
   std::vector<Instance> instances;
-  std::vector<Material> materials;
-  std::vector<Texture> textures;
-  std::vector<Paint> paints;  // every one with coat_count coats
-  int coat_count = 0;
+  std::shared_ptr<const Appearance> appearance = std::make_shared<Appearance>();
   int animal_count = 0;
-  Lights lights;
-  bool environment_visible = false;  // the camera sees the environment; else the background is transparent
 
+  const Material& material(const Instance& instance, std::uint32_t triangle) const {
+    return appearance->materials[instance.materials[instance.surface->materials[triangle]]];
+  }
+  // Whether any material of the instance has holes.
+  bool cut_out(const Instance& instance) const;
   Box bounds(bool animals_only) const;  // relative to origin
 };
 

@@ -36,7 +36,7 @@ struct Paint {
   // Per coat: a colour, or a texture times a colour.
   struct PerCoat {
     vec3 factor{1};    // linear
-    int texture = -1;  // index into Scene::textures
+    int texture = -1;  // index into Appearance::textures
     bool vertex_colors = false;
   };
   std::vector<PerCoat> coats;

@@ -1,0 +1,41 @@
+#pragma once
+// The path tracer: radiance of every coat of the batch from one set of paths.
+#include <cstdint>
+#include <vector>
+
+#include "generator/core/image.h"
+#include "generator/render/first_hit.h"
+#include "generator/render/light.h"
+
+namespace moomill {
+
+struct PathOptions {
+  int samples = 64;            // per pixel
+  double filter_radius = 1.5;  // pixels, of the Blackman-Harris pixel filter
+  int roulette_from = 3;       // bounces before Russian roulette; from there on a path survives with at most 0.8
+  int max_bounces = 0;         // 0: none, unbiased; otherwise a cap, which darkens
+  bool environment_visible = false;  // the camera sees the environment; else the background is transparent
+  std::uint64_t stream = 0;    // hash of (seed, frame, camera): the identity of the samples
+};
+
+struct Radiance {
+  std::vector<ImageF> coats;       // per coat: linear Rec. 709, premultiplied, alpha in the 4th channel
+  std::uint64_t paths = 0, rays = 0;
+  std::uint64_t not_finite = 0;    // samples dropped because a value was not finite; 0 in a sane scene
+};
+
+// Estimates the radiance of the pixels in `mask`; others stay 0. Alpha: share of the filter that sees a surface (or,
+// with a visible environment, 1). Same bits for a coat in any batch, and for any number of threads.
+Radiance trace_radiance(const Scene& scene, const Lights& lights, const Accel& accel, const Camera& camera,
+                        const PixelMask& mask, const PathOptions& options);
+
+// Position of a sample within the Blackman-Harris window of the given radius, from a uniform number.
+class PixelFilter {
+ public:
+  explicit PixelFilter(double radius);
+  float sample(float xi) const;  // pixels from the centre, in [-radius, radius]
+ private:
+  std::vector<float> inverse_;   // inverse of the cumulative window
+};
+
+}  // namespace moomill
