@@ -13,7 +13,9 @@
 #include "generator/core/error.h"
 #include "generator/core/math.h"
 
-#define TOML_ENABLE_FORMATTERS 1
+// The parser is compiled once, in toml.cpp.
+#define TOML_HEADER_ONLY 0
+#define TOML_ENABLE_FORMATTERS 0
 #include <toml++/toml.h>
 
 namespace moomill {
@@ -44,10 +46,17 @@ class TomlReader {
   std::vector<std::string> keys() const;                   // all keys present (for free-form tables)
   void finish();
 
+  // "file:line: 'key' in [where] WHAT"; the line is the key's, or the table's when the key is absent.
   [[noreturn]] void fail(const std::string& key, const std::string& what) const;
+  [[noreturn]] void missing(const std::string& key, const std::string& example) const;  // example: "file = \"cow.glb\""
   const std::string& file() const { return file_; }
+  const std::string& where() const { return where_; }  // dotted path of the table; empty for the file itself
+  std::string path_of(const std::string& key) const { return where_.empty() ? key : where_ + "." + key; }
+  int line(const std::string& key) const;
 
  private:
+  double checked_number(const std::string& key, const toml::node& value, double lowest, double highest) const;
+  const toml::array& numbers_array(const std::string& key);
   const toml::table* table_;
   std::string file_, where_;
   std::set<std::string> known_;
@@ -55,5 +64,12 @@ class TomlReader {
 
 // The nearest of `candidates` within a third of the word's length in edits; empty when none is near.
 std::string nearest_word(const std::string& word, const std::vector<std::string>& candidates);
+
+// "; did you mean 'x'?" when a candidate is near, else "; LEAD a, b, c" ("; there are a, b, c").
+std::string suggestion(const std::string& word, const std::vector<std::string>& candidates,
+                       const std::string& lead = "there are");
+
+// What a TOML value is, for messages: "the text \"a\"", "0.5", "a table", ...
+std::string describe_node(const toml::node& node);
 
 }  // namespace moomill
