@@ -23,7 +23,7 @@ float alpha_of(float roughness) { return std::max(roughness * roughness, bsdf_mi
 
 // Directional albedo of the specular lobe, tabulated over cosine (quadratically denser towards grazing) and roughness.
 struct AlbedoTable {
-  static constexpr int cosines = 64, roughnesses = 33;
+  static constexpr int cosines = 64, roughnesses = 65;
   std::vector<float> value = std::vector<float>(cosines * roughnesses);
   std::vector<float> average = std::vector<float>(roughnesses);  // 2 * integral of value * cosine
 
@@ -36,16 +36,20 @@ struct AlbedoTable {
       for (int i = 0; i < cosines; ++i) {
         const float x = i / float(cosines - 1), co = std::max(x * x, 1e-4f);
         const vec3 wo(std::sqrt(1.0f - co * co), 0.0f, co);
-        constexpr int n = 32;
-        double sum = 0;
-        for (int a = 0; a < n; ++a)
-          for (int b = 0; b < n; ++b) {
-            const vec3 h = sample_ggx_visible_normal(wo, alpha, {(a + 0.5f) / n, (b + 0.5f) / n});
+        // Strata in the radius are finer towards its end: the long tail of GGX decides what falls below the horizon.
+        constexpr int radii = 48, angles = 16;
+        double sum = 0, weights = 0;
+        for (int a = 0; a < radii; ++a) {
+          const float q = 1.0f - (a + 0.5f) / radii, weight = q * q;
+          weights += weight * angles;
+          for (int b = 0; b < angles; ++b) {
+            const vec3 h = sample_ggx_visible_normal(wo, alpha, {1.0f - q * q * q, (b + 0.5f) / angles});
             const float oh = glm::dot(wo, h);
             const vec3 wi = 2.0f * oh * h - wo;
-            if (wi.z > 0 && oh > 0) sum += fresnel(oh) * smith_g2(co, wi.z, alpha) / smith_g1(co, alpha);
+            if (wi.z > 0 && oh > 0) sum += weight * fresnel(oh) * smith_g2(co, wi.z, alpha) / smith_g1(co, alpha);
           }
-        value[r * cosines + i] = static_cast<float>(std::min(1.0, sum / (n * n)));
+        }
+        value[r * cosines + i] = static_cast<float>(std::min(1.0, sum / weights));
       }
     });
     for (int r = 0; r < roughnesses; ++r) {

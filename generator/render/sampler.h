@@ -6,6 +6,7 @@
 #include <cstdint>
 
 #include "generator/core/math.h"
+#include "generator/core/random.h"
 
 namespace moomill {
 
@@ -14,15 +15,6 @@ inline std::uint32_t reverse_bits(std::uint32_t x) {
   x = ((x & 0x0f0f0f0fu) << 4) | ((x >> 4) & 0x0f0f0f0fu);
   x = ((x & 0x33333333u) << 2) | ((x >> 2) & 0x33333333u);
   return ((x & 0x55555555u) << 1) | ((x >> 1) & 0x55555555u);
-}
-
-// Finaliser of MurmurHash3, 64 bit.
-inline std::uint64_t mix64(std::uint64_t x) {
-  x ^= x >> 33;
-  x *= 0xff51afd7ed558ccdull;
-  x ^= x >> 33;
-  x *= 0xc4ceb9fe1a85ec53ull;
-  return x ^ (x >> 33);
 }
 
 // An Owen scramble of a number whose bits are given lowest first: bit k only depends on bits below it.

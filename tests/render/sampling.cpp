@@ -1,0 +1,225 @@
+// Every sampler against its density, and the BSDF against conservation of energy.
+#include "generator/render/sampler.h"
+#include "tests/render/fixtures.h"
+
+using namespace moomill;
+using namespace moomill::test;
+
+namespace {
+std::vector<double> linear_edges(double from, double to, int n) {
+  std::vector<double> e;
+  for (int i = 0; i <= n; ++i) e.push_back(from + (to - from) * i / n);
+  return e;
+}
+constexpr double significance = 1e-4;  // of each test; a wrong density gives 1e-50
+}  // namespace
+
+TEST_CASE("pairs of dimensions are (0, 2)-nets: every elementary interval holds one of 2^k samples") {
+  for (std::uint64_t pixel : {0ull, 17ull, 786431ull}) {
+    const PixelSampler sampler(42, pixel);
+    for (std::uint32_t pair : {0u, 1u, 9u})
+      for (int k = 0; k <= 6; ++k)
+        for (int a = 0; a <= k; ++a) {
+          std::vector<int> count(1 << k, 0);
+          for (int i = 0; i < 1 << k; ++i) {
+            const vec2 u = sampler.get(pair, i);
+            ++count[(int(u.x * (1 << a)) << (k - a)) + int(u.y * (1 << (k - a)))];
+          }
+          CHECK(*std::min_element(count.begin(), count.end()) == 1);
+        }
+  }
+}
+
+TEST_CASE("pairs of dimensions and pixels are not correlated") {
+  double sum = 0, n = 0;
+  for (int p = 0; p < 4000; ++p) {
+    const PixelSampler a(1, p), b(1, p + 1);
+    sum += (a.get(0, 0).x - 0.5) * (a.get(1, 0).x - 0.5) + (a.get(2, 3).y - 0.5) * (b.get(2, 3).y - 0.5);
+    n += 2;
+  }
+  // Variance of a product of two centred uniforms: 1/144.
+  CHECK(std::abs(sum / std::sqrt(n / 144)) < 4.0);
+}
+
+TEST_CASE("cosine hemisphere: chi-squared") {
+  const Frame up(vec3(0, 0, 1));
+  double mass = 0;
+  const double p = chi_squared_of_directions([](vec2 u, vec3& d) { d = sample_cosine_hemisphere(u); return true; },
+                                             [](const vec3& d) { return std::max(0.0f, d.z) / pi; }, up, linear_edges(-1, 1, 20), 16, 200000, 1, &mass);
+  CHECK(mass == doctest::Approx(1).epsilon(1e-4));
+  CHECK(p > significance);
+}
+
+TEST_CASE("GGX visible normals: chi-squared of the density D G1 (wo.h) / wo.z") {
+  for (const float alpha : {0.05f, 0.3f, 1.0f})
+    for (const float cosine : {0.1f, 0.7f, 1.0f}) {
+      const vec3 wo(std::sqrt(1 - cosine * cosine), 0, cosine);
+      auto density = [&](const vec3& h) {
+        const double c = std::max(0.0f, glm::dot(wo, h)), t2 = (1 - wo.z * wo.z) / (wo.z * wo.z);
+        const double g1 = 2 / (1 + std::sqrt(1 + alpha * alpha * t2));
+        return h.z > 0 ? ggx_d(h, alpha) * g1 * c / wo.z : 0.0;
+      };
+      // Edges in cos(theta) that follow the lobe's width.
+      std::vector<double> edges;
+      for (int i = 0; i <= 16; ++i) {
+        const double q = i / 16.0 * 0.995;
+        edges.push_back(1 / std::sqrt(1 + alpha * alpha * q / (1 - q)));
+      }
+      edges.push_back(0);
+      const double p = chi_squared_of_directions([&](vec2 u, vec3& d) { d = sample_ggx_visible_normal(wo, alpha, u); return true; },
+                                                 density, Frame(vec3(0, 0, 1)), edges, 16, 200000, 2, nullptr, 48);
+      CAPTURE(alpha);
+      CAPTURE(cosine);
+      CHECK(p > significance);
+    }
+}
+
+TEST_CASE("BSDF sampling: chi-squared of sample() against pdf()") {
+  for (const float roughness : {0.25f, 0.5f, 1.0f})
+    for (const float metallic : {0.0f, 0.4f, 1.0f})
+      for (const float cosine : {0.15f, 0.8f}) {
+        const vec3 wo(0, std::sqrt(1 - cosine * cosine), cosine);
+        const Bsdf bsdf(roughness, metallic, wo);
+        const vec3 mirror(0, -wo.y, wo.z);  // cells around the highlight
+        std::mt19937 lobe(7);
+        std::vector<double> edges;
+        for (int i = 0; i <= 40; ++i) edges.push_back(1 - 2 * std::pow(i / 40.0, 2.0));
+        double mass = 0;
+        const double p = chi_squared_of_directions(
+            [&](vec2 u, vec3& d) {
+              const BsdfSample s = bsdf.sample(u, float(lobe() >> 8) * 0x1p-24f);
+              d = s.wi;
+              return s.pdf > 0;
+            },
+            [&](const vec3& d) { return bsdf.pdf(d); }, Frame(mirror), edges, 24, 400000, 3, &mass, 40);
+        CAPTURE(roughness);
+        CAPTURE(metallic);
+        CAPTURE(cosine);
+        CHECK(mass < 1.001);
+        CHECK(p > significance);
+      }
+}
+
+TEST_CASE("environment map: chi-squared and unit mass, with a black row and a very bright texel") {
+  ImageF map(16, 8, 3, 0.2f);
+  for (int x = 0; x < 16; ++x) map.at(x, 5, 0) = map.at(x, 5, 1) = map.at(x, 5, 2) = 0;
+  map.at(3, 2, 1) = 50;
+  map.at(12, 6, 0) = 4;
+  const Environment env(map, "test", 1.5f, 33 * degrees);
+  std::vector<double> edges;
+  for (int i = 0; i <= 8; ++i) edges.push_back(std::cos(pi * i / 8));
+  double mass = 0;
+  // The map is turned; cells aligned with it keep the piecewise-constant density exact.
+  const float a = static_cast<float>(33 * degrees);
+  Frame frame(vec3(0, 0, 1));
+  frame.x = {std::cos(a), std::sin(a), 0};
+  frame.y = {-std::sin(a), std::cos(a), 0};
+  const double p = chi_squared_of_directions([&](vec2 u, vec3& d) { d = env.sample(u).direction; return true; },
+                                             [&](const vec3& d) { return env.pdf(d); }, frame, edges, 16, 400000, 4, &mass);
+  CHECK(mass == doctest::Approx(1).epsilon(1e-3));
+  CHECK(p > significance);
+  std::mt19937 random(5);
+  for (int i = 0; i < 1000; ++i) {
+    const LightSample s = env.sample({float(random() >> 8) * 0x1p-24f, float(random() >> 8) * 0x1p-24f});
+    CHECK(std::abs(glm::length(s.direction) - 1) < 1e-5);
+    CHECK(luminance(s.radiance) > 0);
+  }
+}
+
+TEST_CASE("sun: chi-squared over its disc, and its radiance integrates to the irradiance") {
+  Sun sun;
+  sun.direction = glm::normalize(vec3(1, 2, 3));
+  sun.angular_radius = 0.2f;
+  sun.irradiance = {2, 3, 4};
+  std::vector<double> edges;
+  for (int i = 0; i <= 10; ++i) edges.push_back(1 - double(sun.one_minus_cos()) * i / 10);
+  double mass = 0;
+  const double p = chi_squared_of_directions([&](vec2 u, vec3& d) { d = sun.sample(u).direction; return true; },
+                                             [&](const vec3& d) { return sun.pdf(d); }, Frame(sun.direction), edges, 12, 100000, 6, &mass);
+  CHECK(mass == doctest::Approx(1).epsilon(2e-2));  // cells on the rim are cut
+  CHECK(p > significance);
+  double irradiance = 0;
+  constexpr int n = 400;
+  for (int i = 0; i < n; ++i) {
+    const double z = 1 - double(sun.one_minus_cos()) * (i + 0.5) / n;
+    irradiance += sun.radiance().y * z * 2 * pi * sun.one_minus_cos() / n;
+  }
+  CHECK(irradiance == doctest::Approx(3).epsilon(1e-4));
+  sun.angular_radius = 0.00465f;
+  CHECK(sun.pdf(sun.sample({0.999f, 0.3f}).direction) > 0);
+}
+
+TEST_CASE("rectangle: chi-squared of solid angles, and no light on its back") {
+  RectangleLight light;
+  light.corner = {-0.5f, -1, 2};
+  light.edge_u = {0, 2, 0};
+  light.edge_v = {1, 0, 0.5f};  // normal points down
+  const vec3 from(0.2f, 0.1f, 0);
+  REQUIRE(light.normal().z < 0);
+  double mass = 0;
+  const double p = chi_squared_of_directions([&](vec2 u, vec3& d) { d = light.sample(from, u).direction; return true; },
+                                             [&](const vec3& d) {
+                                               const auto t = light.intersect(from, d);
+                                               return t ? double(light.pdf(d, *t)) : 0.0;
+                                             },
+                                             Frame(vec3(0, 0, 1)), linear_edges(0.5, 1, 12), 24, 300000, 8, &mass, 96);
+  CHECK(mass == doctest::Approx(1).epsilon(5e-3));
+  CHECK(p > significance);
+  CHECK(light.sample({0, 0, 5}, {0.5f, 0.5f}).pdf == 0);
+  CHECK_FALSE(light.intersect({0, 0, 5}, {0, 0, -1}).has_value());
+}
+
+TEST_CASE("pixel filter: moments of the Blackman-Harris window") {
+  const PixelFilter filter(1.5);
+  double mean = 0, variance = 0, expected = 0, total = 0;
+  for (int i = 0; i < 100000; ++i) {
+    const double x = filter.sample((i + 0.5f) / 100000);
+    mean += x / 100000;
+    variance += x * x / 100000;
+    CHECK_MESSAGE(std::abs(x) <= 1.5, x);
+  }
+  for (int i = 0; i < 100000; ++i) {
+    const double q = (i + 0.5) / 100000, a = 2 * pi * q, x = (2 * q - 1) * 1.5;
+    const double w = 0.35875 - 0.48829 * std::cos(a) + 0.14128 * std::cos(2 * a) - 0.01168 * std::cos(3 * a);
+    expected += w * x * x;
+    total += w;
+  }
+  CHECK(std::abs(mean) < 1e-4);
+  CHECK(variance == doctest::Approx(expected / total).epsilon(1e-3));
+}
+
+TEST_CASE("white furnace: a white base reflects everything, for every roughness and angle") {
+  double worst = 0;
+  for (const float metallic : {0.0f, 0.5f, 1.0f})
+    for (int r = 0; r <= 20; ++r)
+      for (const float cosine : {0.02f, 0.05f, 0.1f, 0.2f, 0.4f, 0.6f, 0.8f, 0.95f, 1.0f}) {
+        const float roughness = r / 20.0f;
+        const vec3 wo(std::sqrt(1 - cosine * cosine), 0, cosine);
+        const Bsdf bsdf(roughness, metallic, wo);
+        double sum = 0;
+        constexpr int n = 1 << 15;
+        const PixelSampler sampler(9, r);
+        for (int i = 0; i < n; ++i) {
+          const BsdfSample s = bsdf.sample(sampler.get(0, i), sampler.get(1, i).x);
+          if (s.pdf > 0) sum += bsdf.evaluate(s.wi).white() / s.pdf;
+        }
+        const double error = std::abs(sum / n - 1);
+        CAPTURE(roughness);
+        CAPTURE(metallic);
+        CAPTURE(cosine);
+        CHECK(error < 0.005);
+        worst = std::max(worst, error);
+      }
+  MESSAGE("largest departure from 1: ", worst);
+}
+
+TEST_CASE("the BSDF is reciprocal for dielectrics") {
+  std::mt19937 random(11);
+  auto unit = [&] { return float(random() >> 8) * 0x1p-24f; };
+  for (int i = 0; i < 500; ++i) {
+    const vec3 a = sample_cosine_hemisphere({unit(), unit()}), b = sample_cosine_hemisphere({unit(), unit()});
+    const float roughness = 0.1f + 0.9f * unit();
+    const BaseResponse f = Bsdf(roughness, 0, a).evaluate(b), g = Bsdf(roughness, 0, b).evaluate(a);
+    CHECK(f.at(0.5f) / b.z == doctest::Approx(g.at(0.5f) / a.z).epsilon(1e-3));
+  }
+}
