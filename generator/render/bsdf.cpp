@@ -23,7 +23,7 @@ float alpha_of(float roughness) { return std::max(roughness * roughness, bsdf_mi
 
 // Directional albedo of the specular lobe, tabulated over cosine (quadratically denser towards grazing) and roughness.
 struct AlbedoTable {
-  static constexpr int cosines = 80, roughnesses = 65;
+  static constexpr int cosines = 64, roughnesses = 65;
   std::vector<float> value = std::vector<float>(cosines * roughnesses);
   std::vector<float> average = std::vector<float>(roughnesses);  // 2 * integral of value * cosine
 
@@ -37,7 +37,7 @@ struct AlbedoTable {
         const float x = i / float(cosines - 1), co = std::max(x * x, 1e-4f);
         const vec3 wo(std::sqrt(1.0f - co * co), 0.0f, co);
         // Strata in the radius are finer towards its end: the long tail of GGX decides what falls below the horizon.
-        constexpr int radii = 48, angles = 24;
+        constexpr int radii = 48, angles = 16;
         double sum = 0, weights = 0;
         for (int a = 0; a < radii; ++a) {
           const float q = 1.0f - (a + 0.5f) / radii, weight = q * q;
