@@ -55,7 +55,7 @@ ModalitySet modalities_from_names(const std::vector<std::string>& names) {
       std::string all;
       for (const std::string& k : known) all += (all.empty() ? "" : ", ") + k;
       input_error("there is no modality '{}'{}; the modalities are {}", name,
-                  near.empty() ? "" : fmt::format(", did you mean '{}'?", near), all);
+                  near.empty() ? "" : fmt::format(" (did you mean '{}'?)", near), all);
     }
     set.add(*m);
   }
