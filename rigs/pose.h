@@ -21,7 +21,20 @@ struct Pose {
   dmat4 placement{1.0};               // model space to world
 };
 
+dmat4 compose(const LocalTransform& local);
+
+// The closest translation, rotation, scale; shear is lost, a mirror becomes negative scales. Finite for any finite matrix.
+LocalTransform decompose(const dmat4& matrix);
+
+// Transform of a node in its parent: from the pose, else the node's own.
+dmat4 local_matrix(const Rig& rig, const Pose& pose, int node);
+LocalTransform local_transform(const Rig& rig, const Pose& pose, int node);
+
 Pose bind_pose(const Rig& rig);  // every node as in the file
+
+// The pose whose skinned vertices are Surface::rest: joints where their inverse bind matrices have them. Many files are
+// saved in the middle of a clip, and there this differs from bind_pose().
+Pose rest_pose(const Rig& rig);
 
 // The rig at a time of a clip (seconds, clamped to the clip). Rotations: STEP, LINEAR (shortest arc), CUBICSPLINE as in glTF 2.0 appendix C.
 Pose sample_clip(const Rig& rig, const Clip& clip, double time);

@@ -24,7 +24,7 @@ struct Node {
 };
 
 // What vertices are bound to: a node and the matrix that takes bind-pose model space into its frame. A mesh without
-// skin is bound rigidly to its node with the identity.
+// skin is bound rigidly to its node, and its rest positions are in model space like all others.
 struct Bone {
   int node = 0;
   dmat4 inverse_bind{1.0};
@@ -111,6 +111,12 @@ struct Rig {
   int find_node(std::string_view name) const;  // -1 when absent
   int find_clip(std::string_view name) const;
 };
+
+// "vertex 12 of mesh 'Cow'", for messages.
+std::string vertex_place(const Rig& rig, std::size_t vertex);
+
+// Multiplies every length in the rig.
+void scale_rig(Rig& rig, double factor);
 
 struct LoadOptions {
   std::optional<int> scene;      // glTF: which scene; the file's default otherwise

@@ -45,6 +45,7 @@ struct Species {
   std::vector<std::pair<int, int>> pairs;  // left, right keypoint indices
   std::vector<JointLimit> limits;
   Pose neutral;                            // what NNOPCS is baked from
+  dvec3 standing{0};                       // metres, added to model space before yaw and position: puts it on z = 0
   SkinningMethod skinning = SkinningMethod::linear_blend;
   std::optional<double> expected_length, expected_height;  // metres, for `rig check`
   double reader_radius = 1.5;              // the r of netepu.md: keypoints are divided by 2 r

@@ -12,6 +12,7 @@
 
 #include "generator/core/error.h"
 #include "generator/core/math.h"
+#include "scenes/words.h"
 
 // The parser is compiled once, in toml.cpp.
 #define TOML_HEADER_ONLY 0
@@ -48,6 +49,7 @@ class TomlReader {
 
   // "file:line: 'key' in [where] WHAT"; the line is the key's, or the table's when the key is absent.
   [[noreturn]] void fail(const std::string& key, const std::string& what) const;
+  [[noreturn]] void refuse(const std::string& key, const std::string& sentence) const;  // "file:line: SENTENCE"
   [[noreturn]] void missing(const std::string& key, const std::string& example) const;  // example: "file = \"cow.glb\""
   const std::string& file() const { return file_; }
   const std::string& where() const { return where_; }  // dotted path of the table; empty for the file itself
@@ -61,13 +63,6 @@ class TomlReader {
   std::string file_, where_;
   std::set<std::string> known_;
 };
-
-// The nearest of `candidates` within a third of the word's length in edits; empty when none is near.
-std::string nearest_word(const std::string& word, const std::vector<std::string>& candidates);
-
-// "; did you mean 'x'?" when a candidate is near, else "; LEAD a, b, c" ("; there are a, b, c").
-std::string suggestion(const std::string& word, const std::vector<std::string>& candidates,
-                       const std::string& lead = "there are");
 
 // What a TOML value is, for messages: "the text \"a\"", "0.5", "a table", ...
 std::string describe_node(const toml::node& node);

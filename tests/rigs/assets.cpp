@@ -1,0 +1,60 @@
+// Rigs made by others: load, pose, and compare. The folder is not part of the project; without it these pass by.
+#include <doctest/doctest.h>
+
+#include <algorithm>
+
+#include "generator/core/error.h"
+#include "rigs/pose.h"
+
+using namespace moomill;
+namespace fs = std::filesystem;
+
+namespace {
+
+std::vector<fs::path> assets(const std::string& below) {
+  const fs::path folder = fs::path(MOOMILL_SOURCE_DIR) / "../shared/assets" / below;
+  std::vector<fs::path> files;
+  std::error_code error;
+  for (const auto& entry : fs::recursive_directory_iterator(folder, error)) {
+    const std::string e = entry.path().extension().string();
+    if (e == ".glb" || e == ".gltf" || e == ".fbx" || e == ".obj" || e == ".dae") files.push_back(entry.path());
+  }
+  std::sort(files.begin(), files.end());
+  if (files.empty()) MESSAGE("no assets at ", folder.string(), ": nothing tested");
+  return files;
+}
+
+PosedSurface posed_at_rest(const Rig& rig, SkinningMethod method = SkinningMethod::linear_blend) {
+  return skin(rig, bone_matrices(rig, world_transforms(rig, rest_pose(rig))), {}, method, dvec3(0));
+}
+
+Box bounds(const std::vector<vec3>& points) {
+  Box box;
+  for (const vec3& p : points) box.add(dvec3(p));
+  return box;
+}
+
+}  // namespace
+
+TEST_CASE("Rigs of others load, and skinning their rest pose gives their rest positions") {
+  for (const char* folder : {"rigged", "static"})
+    for (const fs::path& file : assets(folder)) {
+      CAPTURE(file.string());
+      if (file.extension() == ".fbx" || file.extension() == ".obj") continue;
+      const Rig rig = load_rig(file);
+      const Box box = bounds(rig.surface.rest);
+      CHECK(rig.surface.triangles.size() > 100);
+      for (const auto method : {SkinningMethod::linear_blend, SkinningMethod::dual_quaternion}) {
+        const PosedSurface posed = posed_at_rest(rig, method);
+        double worst = 0;
+        for (std::size_t i = 0; i < posed.positions.size(); ++i)
+          worst = std::max<double>(worst, glm::length(posed.positions[i] - rig.surface.rest[i]));
+        MESSAGE(file.filename().string(), ": ", rig.nodes.size(), " nodes, ", rig.bones.size(), " bones, ",
+                rig.clips.size(), " clips, ", rig.surface.rest.size(), " vertices, ", rig.surface.triangles.size(),
+                " triangles, size ", box.size().x, " ", box.size().y, " ", box.size().z, ", lower z ", box.lower.z,
+                ", rest error ", worst);
+        for (const std::string& w : rig.warnings) MESSAGE("  ", w);
+        CHECK(worst <= 1e-5 * box.diagonal());
+      }
+    }
+}
