@@ -311,11 +311,11 @@ TEST_CASE("a coat alone equals the same coat in a batch of twelve, bit for bit, 
     std::vector<const Image8*> images;
     for (int c : coats) {
       p.coats.push_back({vec3(1), stacked ? -1 : int(a->textures.size()), false});
-      if (!stacked) a->textures.push_back({textures[c], {}});
+      if (!stacked) a->textures.push_back(std::make_shared<Texture>(Texture{textures[c], {}}));
       images.push_back(&textures[c]);
     }
     if (stacked) build_stack(p, images);
-    a->paints = {p};
+    a->paints = {std::make_shared<Paint>(p)};
     Scene scene;
     scene.appearance = a;
     scene.instances = {instance_of(ball, 0, 0)};

@@ -283,7 +283,7 @@ TEST_CASE("texels below the alpha cutoff are not there, for labels and light ali
   texture.image = Image8(2, 1, 4, 255);
   texture.image.at(0, 0, 3) = 0;  // the half with u < 0.5 is a hole
   texture.placement.wrap_u = Wrap::clamp;
-  a->textures.push_back(texture);
+  a->textures.push_back(std::make_shared<Texture>(texture));
   a->materials[0].alpha_texture = 0;
   a->materials[0].alpha_cutoff = 0.5f;
   scene.appearance = a;
