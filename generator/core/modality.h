@@ -103,6 +103,7 @@ struct OcclusionView {
 struct View {
   int frame = 0, camera = 0;  // as numbered in the dataset
   int width = 0, height = 0;
+  vec3 background{0};         // linear colour that 8-bit colour files show where alpha is below 1
   std::vector<Map> maps;
   std::vector<std::vector<KeypointView>> keypoints;  // per animal, per keypoint
   std::vector<OcclusionView> occlusion;              // per animal

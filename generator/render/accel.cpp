@@ -48,7 +48,7 @@ bool is_cut_out(const FilterData& f, std::uint32_t triangle, float u, float v) {
   if (m.alpha_texture >= 0 && !s.uvs.empty()) {
     const uvec3 t = s.triangles[triangle];
     const vec2 uv = (1 - u - v) * s.uvs[t[0]] + u * s.uvs[t[1]] + v * s.uvs[t[2]];
-    const Texture& texture = f.scene->appearance->textures[m.alpha_texture];
+    const Texture& texture = *f.scene->appearance->textures[m.alpha_texture];
     if (texture.image.channels == 2 || texture.image.channels == 4)
       alpha *= texture_value(texture, uv, texture.image.channels - 1);
   }

@@ -66,7 +66,7 @@ bool shading_point(const Scene& scene, const SurfaceHit& hit, const vec3& wo, Sh
     if (det != 0 && tl > 1e-12f) {
       const vec3 x = tangent / tl;
       const vec3 y = glm::cross(n, x) * (det < 0 ? 1.0f : -1.0f);
-      const Texture& tex = scene.appearance->textures[m.normal_texture];
+      const Texture& tex = *scene.appearance->textures[m.normal_texture];
       vec3 local(2 * texture_value(tex, out.uv, 0) - 1, 2 * texture_value(tex, out.uv, 1) - 1, 2 * texture_value(tex, out.uv, 2) - 1);
       local.x *= m.normal_scale;
       local.y *= m.normal_scale;
@@ -126,11 +126,11 @@ void trace_path(const Scene& scene, const Lights& lights, const Accel& accel, co
     if (!shading_point(scene, hit, wo, point)) return;
     const std::uint32_t block = bounce * pairs_per_bounce;
     const Material& m = *point.material;
-    fetch_paint(scene.appearance->paints[m.paint], scene.appearance->textures, point.uv, point.vertex_color, sampler.get(block + texel_pair, sample), P, &base.v[0][0]);
+    fetch_paint(*scene.appearance->paints[m.paint], scene.appearance->textures, point.uv, point.vertex_color, sampler.get(block + texel_pair, sample), P, &base.v[0][0]);
     float roughness = m.roughness, metallic = m.metallic;
     if (m.metallic_roughness_texture >= 0) {
-      roughness *= texture_value(scene.appearance->textures[m.metallic_roughness_texture], point.uv, 1);
-      metallic *= texture_value(scene.appearance->textures[m.metallic_roughness_texture], point.uv, 2);
+      roughness *= texture_value(*scene.appearance->textures[m.metallic_roughness_texture], point.uv, 1);
+      metallic *= texture_value(*scene.appearance->textures[m.metallic_roughness_texture], point.uv, 2);
     }
     const Frame frame(point.shading);
     const Bsdf bsdf(roughness, metallic, frame.to_local(wo));
@@ -299,7 +299,7 @@ Radiance trace_radiance(const Scene& scene, const Lights& lights, const Accel& a
   out.coats.assign(scene.appearance->coat_count, ImageF(camera.width, camera.height, 4));
   check(scene.appearance->coat_count >= 1 && scene.appearance->coat_count <= 32, "a batch holds 1 to 32 coats");
   check(options.samples >= 1, "at least one sample a pixel");
-  for (const Paint& p : scene.appearance->paints) check(static_cast<int>(p.coats.size()) == scene.appearance->coat_count, "a paint has another number of coats");
+  for (const auto& p : scene.appearance->paints) check(static_cast<int>(p->coats.size()) == scene.appearance->coat_count, "a paint has another number of coats");
   if (scene.appearance->coat_count <= 1)
     trace_tiles<1>(scene, lights, accel, camera, mask, options, out);
   else if (scene.appearance->coat_count <= 4)

@@ -30,11 +30,11 @@ struct Instance {
   int animal = -1;                   // which animal, or -1: scenery, which has no labels
 };
 
-// Finishes, textures and coats: the same in every frame, so scenes share it.
+// Finishes, textures and coats. Frames share what is heavy; a copy is cheap.
 struct Appearance {
   std::vector<Material> materials;
-  std::vector<Texture> textures;
-  std::vector<Paint> paints;  // every one with coat_count coats
+  std::vector<std::shared_ptr<const Texture>> textures;
+  std::vector<std::shared_ptr<const Paint>> paints;  // every one with coat_count coats
   int coat_count = 0;
 };
 

@@ -83,7 +83,7 @@ void build_stack(Paint& paint, const std::vector<const Image8*>& images) {
       for (int t = 0; t < n; ++t) paint.stack[out++] = images[t]->data[p * images[t]->channels + c];
 }
 
-void fetch_paint(const Paint& paint, const std::vector<Texture>& textures, const vec2& uv, const vec3& vertex_color,
+void fetch_paint(const Paint& paint, const std::vector<std::shared_ptr<const Texture>>& textures, const vec2& uv, const vec3& vertex_color,
                  const vec2& xi, int stride, float* base) {
   const auto& srgb = srgb_table();
   const int n = static_cast<int>(paint.coats.size());
@@ -99,7 +99,7 @@ void fetch_paint(const Paint& paint, const std::vector<Texture>& textures, const
     const Paint::PerCoat& coat = paint.coats[t];
     vec3 color = coat.factor;
     if (coat.texture >= 0) {
-      const Texture& tex = textures[coat.texture];
+      const Texture& tex = *textures[coat.texture];
       const glm::ivec2 texel = choose_texel(tex.placement, tex.image.width, tex.image.height, uv, xi);
       const std::uint8_t* s = &tex.image.data[tex.image.index(texel.x, texel.y)];
       // One and two channels are grey and grey with alpha.

@@ -2,6 +2,7 @@
 // Textures, and base colours of many coats fetched at once.
 #include <array>
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 #include "generator/core/image.h"
@@ -51,7 +52,7 @@ struct Paint {
 void build_stack(Paint& paint, const std::vector<const Image8*>& images);
 
 // base[c * stride + t] = linear base colour, channel c, coat t. `xi` as in choose_texel.
-void fetch_paint(const Paint& paint, const std::vector<Texture>& textures, const vec2& uv, const vec3& vertex_color,
+void fetch_paint(const Paint& paint, const std::vector<std::shared_ptr<const Texture>>& textures, const vec2& uv, const vec3& vertex_color,
                  const vec2& xi, int stride, float* base);
 
 }  // namespace moomill

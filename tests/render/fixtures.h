@@ -91,7 +91,7 @@ inline void add_material(Appearance& a, float roughness, float metallic, const s
   m.paint = static_cast<int>(a.paints.size());
   Paint p;
   for (const vec3& c : coats) p.coats.push_back({c, -1, false});
-  a.paints.push_back(p);
+  a.paints.push_back(std::make_shared<Paint>(p));
   a.materials.push_back(m);
   a.coat_count = static_cast<int>(coats.size());
 }
