@@ -115,6 +115,9 @@ struct Rig {
 // "vertex 12 of mesh 'Cow'", for messages.
 std::string vertex_place(const Rig& rig, std::size_t vertex);
 
+// Turns the whole rig about the model's Z axis, counter-clockwise seen from above. Node indices stay.
+void turn_rig(Rig& rig, double yaw_deg);
+
 // Multiplies every length in the rig.
 void scale_rig(Rig& rig, double factor);
 

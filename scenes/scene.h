@@ -174,8 +174,7 @@ void for_each_distribution(const SceneSpec& scene, const std::function<void(cons
 // The values drawn for one frame, by key (per view: a list in the order of `cameras`), for FrameRecord::drawn.
 Json drawn_values(const SceneSpec& scene, int frame, const std::vector<int>& cameras);
 
-// Species file, or any rig file (then a species without keypoints named after it). `need_uv`, `need_images`: what the
-// chosen modalities ask for; what they do not is dropped at once.
+// Species file, or any rig file (then a species without keypoints named after it, standing centred on the ground).
 Species read_species(const std::string& name_or_path, NnopcsNormalization normalization,
                      const std::filesystem::path& relative_to);
 

@@ -59,26 +59,16 @@ class SceneReader {
   }
 
  private:
-  // Runs `look_up`; what it refuses is told with the place of the key.
-  template <class LookUp>
-  auto at_key(TomlReader& t, const std::string& key, const LookUp& look_up) {
-    try {
-      return look_up();
-    } catch (const InputError& e) {
-      t.refuse(key, e.what());
-    }
-  }
-
   void require_files(TomlReader& t, const std::string& key, const std::optional<Distribution>& d) {
     if (!d) return;
-    for (const std::string& word : d->words) at_key(t, key, [&] { return find_file(word, folder_); });
+    for (const std::string& word : d->words) t.at_key(key, [&] { return find_file(word, folder_); });
   }
 
   void read_modalities() {
     std::vector<std::string> names{"rgb", "silhouette", "depth", "nnopcs", "keypoints"};
     if (root_.has("modalities")) names = root_.texts("modalities");
     if (names.empty()) root_.fail("modalities", "must name at least one, e.g. [\"rgb\", \"depth\"]");
-    scene_.modalities = at_key(root_, "modalities", [&] { return modalities_from_names(names); });
+    scene_.modalities = root_.at_key("modalities", [&] { return modalities_from_names(names); });
   }
 
   void read_animals() {
@@ -91,7 +81,7 @@ class SceneReader {
     AnimalSpec a;
     a.key = t.where();
     a.species = t.text("species");
-    const fs::path file = at_key(t, "species", [&] { return find_species(a.species, folder_); });
+    const fs::path file = t.at_key("species", [&] { return find_species(a.species, folder_); });
     is_species_file_.push_back(file.extension() == ".toml");
     const std::string name = file.stem().string();
     if (t.has("coats")) {
@@ -103,7 +93,7 @@ class SceneReader {
       if (a.coats.empty()) a.coats = {"own"};
       if (index > 0) a.coats.resize(1);
     }
-    for (const std::string& coat : a.coats) at_key(t, "coats", [&] { return find_coat(coat, name, folder_); });
+    for (const std::string& coat : a.coats) t.at_key("coats", [&] { return find_coat(coat, name, folder_); });
     if (index > 0 && a.coats.size() != 1 && a.coats.size() != scene_.animals[0].coats.size())
       t.fail("coats", fmt::format("must name one coat, or as many as the first animal has ({}), not {}",
                                   scene_.animals[0].coats.size(), a.coats.size()));
@@ -145,7 +135,7 @@ class SceneReader {
   PoseFile read_pose_file(TomlReader& t) {
     PoseFile out;
     out.file = t.text("file");
-    const fs::path path = at_key(t, "file", [&] { return find_file(out.file, folder_); });
+    const fs::path path = t.at_key("file", [&] { return find_file(out.file, folder_); });
     std::ifstream in(path, std::ios::binary);
     std::stringstream text;
     text << in.rdbuf();

@@ -50,6 +50,15 @@ class TomlReader {
   // "file:line: 'key' in [where] WHAT"; the line is the key's, or the table's when the key is absent.
   [[noreturn]] void fail(const std::string& key, const std::string& what) const;
   [[noreturn]] void refuse(const std::string& key, const std::string& sentence) const;  // "file:line: SENTENCE"
+  // Runs `look_up`; what it refuses is told with the place of the key.
+  template <class LookUp>
+  auto at_key(const std::string& key, const LookUp& look_up) const {
+    try {
+      return look_up();
+    } catch (const InputError& e) {
+      refuse(key, e.what());
+    }
+  }
   [[noreturn]] void missing(const std::string& key, const std::string& example) const;  // example: "file = \"cow.glb\""
   const std::string& file() const { return file_; }
   const std::string& where() const { return where_; }  // dotted path of the table; empty for the file itself

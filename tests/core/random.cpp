@@ -14,7 +14,9 @@ using namespace moomill;
 TEST_CASE("identities are pinned: a change here changes every dataset") {
   CHECK(mix64(0) == 0);
   CHECK(mix64(1) == 0x5692161d100b05e5ull);
-  CHECK(hash_identity({}) == hash_identity({}));
+  CHECK(hash_identity({}) == 0xe220a8397b1dcdafull);
+  CHECK(hash_identity({1, 2, 3}) == 0xac4a3ed9fc9901f2ull);
+  CHECK(hash_text("seed") == 0x8c539d5c5e853d27ull);
   CHECK(hash_identity({1, 2}) != hash_identity({2, 1}));
   CHECK(hash_identity({0}) != hash_identity({0, 0}));
   CHECK(hash_identity({0}) != 0);
