@@ -1,0 +1,384 @@
+#include "scenes/runner.h"
+
+#include <list>
+
+#include "generator/core/error.h"
+#include "generator/core/parallel.h"
+#include "generator/core/random.h"
+#include "generator/dataset/codecs.h"
+#include "generator/render/labels.h"
+#include "generator/render/path.h"
+#include "scenes/appearance.h"
+
+namespace moomill {
+namespace {
+
+// Streams of random numbers of one view.
+enum class Stream : std::uint64_t { light = 1, coverage = 2 };
+
+Camera to_camera(const CameraRecord& r) {
+  return Camera::from_matrix(r.world_to_camera, r.fx, r.fy, r.cx, r.cy, r.width, r.height);
+}
+
+std::uint64_t stream_of(const SceneSpec& s, int frame, int camera, Stream stream) {
+  return hash_identity({s.seed, static_cast<std::uint64_t>(frame), static_cast<std::uint64_t>(camera), static_cast<std::uint64_t>(stream)});
+}
+
+Surface ground_surface(double size) {
+  Surface s;
+  const float h = static_cast<float>(0.5 * size);
+  s.rest = {{-h, -h, 0}, {h, -h, 0}, {h, h, 0}, {-h, h, 0}};
+  s.normals.assign(4, vec3(0, 0, 1));
+  s.triangles = {{0, 1, 2}, {0, 2, 3}};
+  s.materials.assign(2, 0);
+  s.parts.assign(2, 0);
+  return s;
+}
+
+// Small caches of files by name; scenes draw from lists of a few.
+template <class Value>
+class FileCache {
+ public:
+  template <class Load>
+  std::shared_ptr<const Value> get(const std::string& key, const Load& load) {
+    std::lock_guard lock(mutex_);
+    for (auto i = entries_.begin(); i != entries_.end(); ++i)
+      if (i->first == key) {
+        entries_.splice(entries_.begin(), entries_, i);
+        return entries_.front().second;
+      }
+    entries_.emplace_front(key, load());
+    if (entries_.size() > 4) entries_.pop_back();
+    return entries_.front().second;
+  }
+
+ private:
+  std::mutex mutex_;
+  std::list<std::pair<std::string, std::shared_ptr<const Value>>> entries_;
+};
+
+}  // namespace
+
+struct Mill::Loaded {
+  std::vector<std::unique_ptr<Species>> species;  // distinct
+  std::vector<const Species*> of_animal;
+  std::vector<std::vector<dmat4>> neutral_world;  // per animal
+  BuiltAppearance appearance;
+  Surface ground;
+  bool traces = false;  // whether any ray is traced at all
+  FileCache<Environment> environments;
+  FileCache<ImageF> backgrounds;
+};
+
+Mill::Mill(SceneSpec spec) : spec_(std::move(spec)), loaded_(std::make_unique<Loaded>()) {
+  Loaded& l = *loaded_;
+  const auto folder = std::filesystem::path(spec_.file).parent_path();
+  if (spec_.animals.empty()) input_error("{}: a scene wants at least one [[animals]]", spec_.file);
+  if (animals() > max_animals) input_error("{}: {} animals; at most {} fit in a scene", spec_.file, animals(), max_animals);
+  std::map<std::string, const Species*> by_name;
+  for (const AnimalSpec& a : spec_.animals) {
+    auto [found, fresh] = by_name.try_emplace(a.species, nullptr);
+    if (fresh) {
+      l.species.push_back(std::make_unique<Species>(read_species(a.species, spec_.normalization, folder)));
+      found->second = l.species.back().get();
+      ++counts_.species;
+    }
+    l.of_animal.push_back(found->second);
+    l.neutral_world.push_back(world_transforms(found->second->rig, found->second->neutral));
+  }
+  const ModalitySet& m = spec_.modalities;
+  if (m.has(Modality::uv) && species(0).rig.surface.uvs.empty())
+    input_error("{}: the modality uv is asked for, but {} has no UVs; leave it out or give the rig UVs", spec_.file, species(0).rig.source);
+  l.traces = m.any(&ModalityRow::needs_first_hit) || m.has(Modality::rgb) || m.has(Modality::coverage) || m.has(Modality::keypoints);
+  l.appearance = build_appearance(spec_, l.of_animal, m.has(Modality::rgb), counts_);
+  if (spec_.ground.present) l.ground = ground_surface(spec_.ground.size);
+}
+
+Mill::~Mill() = default;
+
+const Species& Mill::species(int animal) const { return *loaded_->of_animal[animal]; }
+
+Manifest Mill::manifest() const {
+  Manifest m;
+  m.species = species(0).name;
+  m.subset = spec_.subset;
+  m.seed = spec_.seed;
+  m.scene = spec_.resolved;
+  m.per_frame_cameras = cameras_vary(spec_);
+  m.cameras = cameras_of_frame(spec_, spec_.frames.empty() ? spec_.first_frame : spec_.frames.front());
+  m.coats = spec_.animals[0].coats;
+  if (m.coats.empty()) m.coats = {"own"};
+  m.coat_indices = spec_.coat_indices;
+  for (int a = 0; a < animals(); ++a) {
+    m.animals.push_back(species(a).name);
+    m.rig_files.push_back(fmt::format("rigs/{}.glb", a));
+  }
+  const Species& s = species(0);
+  for (const Keypoint& k : s.keypoints) {
+    m.keypoint_names.push_back(k.name);
+    m.keypoint_tolerance.push_back(k.tolerance);
+  }
+  m.skeleton = s.edges;
+  m.pairs = s.pairs;
+  m.part_names = s.rig.part_names;
+  m.frames = spec_.frames;
+  m.modalities = spec_.modalities;
+  m.nnopcs_lower = s.rig.surface.neutral_box.lower;
+  m.nnopcs_upper = s.rig.surface.neutral_box.upper;
+  m.nnopcs_normalization = spec_.normalization == NnopcsNormalization::box ? "box" : "diagonal";
+  m.skinning = s.skinning == SkinningMethod::linear_blend ? "linear_blend" : "dual_quaternion";
+  m.reader_radius = s.reader_radius;
+  return m;
+}
+
+Frame Mill::prepare(int frame) const {
+  set_float_state();
+  const Loaded& l = *loaded_;
+  Frame f;
+  f.number = frame;
+  f.cameras = cameras_of_frame(spec_, frame);
+
+  auto g = std::make_shared<FrameGeometry>();
+  std::vector<std::vector<dmat4>> world(animals());
+  for (int a = 0; a < animals(); ++a) {
+    const Species& s = species(a);
+    const Pose pose = pose_of_frame(spec_, spec_.animals[a], s, frame - spec_.first_frame);
+    world[a] = world_transforms(s.rig, pose);
+    g->bones.push_back(bone_matrices(s.rig, world[a]));
+    g->morph_weights.push_back(pose.morph_weights.empty() ? s.rig.morph_weights : pose.morph_weights);
+    g->placement.push_back(pose.placement);
+    for (const dmat4& m : g->bones.back())
+      for (int c = 0; c < 4; ++c)
+        if (!all_finite(m[c])) input_error("{}: frame {} of {} has a pose that is not finite; look at its clip or pose file", spec_.file, frame, s.name);
+  }
+  // A rigid scene, or one pose for many frames: nothing to skin or build again.
+  {
+    std::lock_guard lock(mutex_);
+    if (last_geometry_ && last_geometry_->bones == g->bones && last_geometry_->morph_weights == g->morph_weights &&
+        spec_.ground.color.is_constant() && spec_.ground.roughness.is_constant()) {
+      f.geometry = last_geometry_;
+      return f;
+    }
+  }
+  Scene& scene = g->scene;
+  // Positions are float relative to here; rounded, so that a standing animal's coordinates stay round.
+  const dmat4& first = g->placement[0];
+  scene.origin = glm::round(dvec3(first[3]));
+  scene.animal_count = animals();
+  scene.appearance = l.appearance.appearance;
+  for (int a = 0; a < animals(); ++a) {
+    const Species& s = species(a);
+    Instance in;
+    in.surface = &s.rig.surface;
+    in.posed = skin(s.rig, g->bones[a], g->morph_weights[a], s.skinning, scene.origin);
+    ++counts_.skins;
+    in.materials = l.appearance.materials[a];
+    in.animal = a;
+    g->keypoints.push_back(keypoint_positions(s, world[a], l.neutral_world[a], in.posed));
+    scene.instances.push_back(std::move(in));
+  }
+  if (spec_.ground.present) {
+    Instance in;
+    in.surface = &l.ground;
+    in.posed.origin = scene.origin;
+    for (const vec3& p : l.ground.rest) in.posed.positions.push_back(vec3(dvec3(p) - dvec3(0, 0, scene.origin.z)));
+    in.posed.normals = l.ground.normals;
+    in.materials = {l.appearance.ground_material};
+    scene.instances.push_back(std::move(in));
+    if (l.appearance.appearance->coat_count > 0) {  // colour and roughness may be drawn per frame
+      auto a = std::make_shared<Appearance>(*l.appearance.appearance);
+      Material& m = a->materials[l.appearance.ground_material];
+      m.roughness = static_cast<float>(draw_number(spec_.ground.roughness, spec_.seed, frame, 0));
+      auto paint = std::make_shared<Paint>();
+      paint->coats.assign(a->coat_count, {vec3(draw_vector(spec_.ground.color, spec_.seed, frame, 0)), -1, false});
+      a->paints[m.paint] = std::move(paint);
+      scene.appearance = std::move(a);
+    }
+  }
+  if (l.traces) {
+    g->accel = std::make_unique<Accel>(scene);
+    ++counts_.hierarchies;
+  }
+  f.geometry = g;
+  std::lock_guard lock(mutex_);
+  last_geometry_ = g;
+  return f;
+}
+
+Lights Mill::lights(const Frame& frame, const CameraRecord& camera) const {
+  const LightSpec& spec = spec_.light;
+  const int f = frame.number, c = camera.id;
+  auto number = [&](const Distribution& d) { return draw_number(d, spec_.seed, f, c); };
+  auto vector = [&](const Distribution& d) { return draw_vector(d, spec_.seed, f, c); };
+  Lights lights;
+  if (spec.environment_file) {
+    const std::string name = draw_text(*spec.environment_file, spec_.seed, f, c);
+    const double strength = number(spec.environment_strength), yaw = number(spec.environment_yaw_deg);
+    lights.environment = loaded_->environments.get(fmt::format("{}|{}|{}", name, strength, yaw), [&] {
+      ++counts_.environments;
+      const auto path = find_file(name, std::filesystem::path(spec_.file).parent_path());
+      return std::make_shared<const Environment>(read_imagef(path), path.string(), static_cast<float>(strength), yaw * degrees);
+    });
+  } else {
+    lights.environment = std::make_shared<Environment>(vec3(vector(spec.environment_color) * number(spec.environment_strength)));
+  }
+  for (const LightSpec::Sun& s : spec.suns) {
+    const double azimuth = number(s.azimuth_deg) * degrees, elevation = number(s.elevation_deg) * degrees;
+    Sun sun;
+    sun.direction = glm::normalize(vec3(std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth), std::sin(elevation)));
+    sun.irradiance = vec3(number(s.irradiance) * vector(s.color));
+    sun.angular_radius = static_cast<float>(0.5 * number(s.angular_diameter_deg) * degrees);
+    lights.suns.push_back(sun);
+  }
+  const dvec3 origin = frame.geometry->scene.origin;
+  for (const LightSpec::Rectangle& r : spec.rectangles) {
+    const dvec3 position = vector(r.position), target = vector(r.target);
+    const dvec3 toward = target - position;
+    if (!(glm::length(toward) > 1e-9)) input_error("{}: a rectangular light stands at its own target in frame {}; move one of them", spec_.file, f);
+    const dvec3 n = glm::normalize(toward);
+    const dvec3 x = glm::normalize(glm::cross(std::abs(n.z) > 0.99 ? dvec3(0, 1, 0) : dvec3(0, 0, 1), n));
+    const dvec3 y = glm::cross(n, x);
+    RectangleLight light;
+    light.edge_u = vec3(x * r.width);
+    light.edge_v = vec3(y * r.height);
+    light.corner = vec3(position - origin - 0.5 * r.width * x - 0.5 * r.height * y);
+    light.radiance = vec3(number(r.radiance) * vector(r.color));
+    lights.rectangles.push_back(light);
+  }
+  const Box& box = frame.geometry->accel->bounds(true);
+  lights.prepare(box.empty() ? vec3(0) : vec3(box.centre()));
+  return lights;
+}
+
+// Puts the scene's background behind every coat, where it gives one.
+void Mill::composite(View& view, const CameraRecord& camera) const {
+  const BackgroundSpec& b = spec_.background;
+  if (b.kind != BackgroundSpec::Kind::color && b.kind != BackgroundSpec::Kind::image) return;
+  const dvec3 color = draw_vector(b.color, spec_.seed, view.frame, camera.id);
+  std::shared_ptr<const ImageF> image;
+  if (b.kind == BackgroundSpec::Kind::image && b.image) {
+    const std::string name = draw_text(*b.image, spec_.seed, view.frame, camera.id);
+    image = loaded_->backgrounds.get(name, [&] {
+      ++counts_.images;
+      return std::make_shared<const ImageF>(read_imagef(find_file(name, std::filesystem::path(spec_.file).parent_path())));
+    });
+  }
+  // An image covers the view: scaled to fill it, cropped in the middle.
+  const double scale = image ? std::min(image->width / double(view.width), image->height / double(view.height)) : 0;
+  for (Map& map : view.maps) {
+    if (map.modality != Modality::rgb) continue;
+    for (int y = 0; y < view.height; ++y)
+      for (int x = 0; x < view.width; ++x) {
+        float* p = &map.f.data[map.f.index(x, y)];
+        vec3 behind(color);
+        if (image) {
+          const double sx = 0.5 * image->width + (x + 0.5 - 0.5 * view.width) * scale - 0.5;
+          const double sy = 0.5 * image->height + (y + 0.5 - 0.5 * view.height) * scale - 0.5;
+          const int x0 = std::clamp(int(std::floor(sx)), 0, image->width - 1), x1 = std::min(x0 + 1, image->width - 1);
+          const int y0 = std::clamp(int(std::floor(sy)), 0, image->height - 1), y1 = std::min(y0 + 1, image->height - 1);
+          const auto fx = static_cast<float>(std::clamp(sx - x0, 0.0, 1.0)), fy = static_cast<float>(std::clamp(sy - y0, 0.0, 1.0));
+          for (int k = 0; k < 3; ++k) {
+            const int c = std::min(k, image->channels - 1);
+            behind[k] = (image->at(x0, y0, c) * (1 - fx) + image->at(x1, y0, c) * fx) * (1 - fy) +
+                        (image->at(x0, y1, c) * (1 - fx) + image->at(x1, y1, c) * fx) * fy;
+          }
+        }
+        for (int k = 0; k < 3; ++k) p[k] += (1 - p[3]) * behind[k];
+        p[3] = 1;
+      }
+  }
+}
+
+View Mill::trace(const Frame& frame, const CameraRecord& record) const {
+  set_float_state();
+  const FrameGeometry& g = *frame.geometry;
+  const Camera camera = to_camera(record);
+  const ModalitySet& wanted = spec_.modalities;
+  View view;
+  view.frame = frame.number;
+  view.camera = record.id;
+  view.width = record.width;
+  view.height = record.height;
+  if (!g.accel) return view;
+  const Scene& scene = g.scene;
+  const Accel& accel = *g.accel;
+  if (camera_is_inside(scene, accel, camera))
+    input_error("{}: camera {} stands inside an animal in frame {}; raise the radius or move the camera", spec_.file, record.id, frame.number);
+
+  if (wanted.any(&ModalityRow::needs_first_hit) || wanted.has(Modality::coverage)) {
+    const FirstHits hits = trace_first_hits(scene, accel, camera, footprint(scene, camera, 0));
+    ++counts_.first_hits;
+    LabelRequest request;
+    request.modalities = wanted;
+    if (spec_.subset == Subset::occlusions) request.only_animal = 0;
+    add_labels(view, scene, hits, request);
+    if (wanted.has(Modality::coverage)) {
+      ++counts_.coverage;
+      Map map;
+      map.modality = Modality::coverage;
+      map.f = trace_coverage(scene, accel, camera, hits, stream_of(spec_, frame.number, record.id, Stream::coverage));
+      view.maps.push_back(std::move(map));
+    }
+    if (wanted.has(Modality::occlusion)) {
+      ++counts_.occlusion;
+      add_occlusion(view, scene, accel, camera, hits);
+    }
+  }
+  if (wanted.has(Modality::keypoints)) {
+    ++counts_.keypoints;
+    for (int a = 0; a < animals(); ++a) {
+      std::vector<KeypointView> seen;
+      for (std::size_t k = 0; k < g.keypoints[a].size(); ++k)
+        seen.push_back(trace_keypoint(scene, accel, camera, a, {g.keypoints[a][k], species(a).keypoints[k].tolerance}));
+      view.keypoints.push_back(std::move(seen));
+    }
+  }
+  if (wanted.has(Modality::rgb)) {
+    ++counts_.radiance;
+    PathOptions options;
+    options.samples = spec_.render.samples;
+    options.max_bounces = spec_.render.max_bounces;
+    options.filter_radius = spec_.render.filter_radius;
+    options.environment_visible = spec_.background.kind == BackgroundSpec::Kind::environment;
+    options.stream = stream_of(spec_, frame.number, record.id, Stream::light);
+    PixelMask mask;
+    if (options.environment_visible || spec_.ground.present) {  // something may be seen in every pixel
+      mask = PixelMask(camera.width, camera.height);
+      mask.fill();
+    } else {
+      mask = footprint(scene, camera, options.filter_radius);
+    }
+    Radiance radiance = trace_radiance(scene, lights(frame, record), accel, camera, mask, options);
+    for (std::size_t t = 0; t < radiance.coats.size(); ++t) {
+      Map map;
+      map.modality = Modality::rgb;
+      map.coat = spec_.coat_indices[t];
+      map.f = std::move(radiance.coats[t]);
+      view.maps.push_back(std::move(map));
+    }
+    composite(view, record);
+  }
+  return view;
+}
+
+FrameRecord Mill::record(const Frame& frame) const {
+  const FrameGeometry& g = *frame.geometry;
+  FrameRecord r;
+  r.frame = frame.number;
+  r.keypoints = g.keypoints;
+  r.bones = g.bones;
+  r.placement = g.placement;
+  r.morph_weights = g.morph_weights;
+  for (int a = 0; a < animals(); ++a) {
+    std::vector<std::string> names;
+    for (const Bone& b : species(a).rig.bones) names.push_back(species(a).rig.nodes[b.node].name);
+    r.bone_names.push_back(std::move(names));
+  }
+  if (cameras_vary(spec_)) r.cameras = frame.cameras;
+  std::vector<int> ids;
+  for (const CameraRecord& c : frame.cameras) ids.push_back(c.id);
+  r.drawn = drawn_values(spec_, frame.number, ids);
+  return r;
+}
+
+}  // namespace moomill

@@ -1,0 +1,67 @@
+#pragma once
+// From a scene to the maps of a view. Loads once what the chosen modalities need; a frame is then a pure function of
+// (scene, seed, frame).
+#include <atomic>
+#include <memory>
+#include <mutex>
+#include <vector>
+
+#include "generator/render/accel.h"
+#include "generator/render/light.h"
+#include "generator/render/scene.h"
+#include "scenes/scene.h"
+
+namespace moomill {
+
+// How often each stage ran: what a scene does not need stays at 0, and tests hold it to that.
+struct StageCounts {
+  std::atomic<std::uint64_t> species{0}, images{0}, coats{0}, environments{0}, skins{0}, hierarchies{0}, first_hits{0},
+      radiance{0}, coverage{0}, keypoints{0}, occlusion{0};
+};
+
+// The geometry of one frame; shared by frames whose poses are equal.
+struct FrameGeometry {
+  std::vector<std::vector<dmat4>> bones;  // per animal
+  std::vector<std::vector<double>> morph_weights;
+  std::vector<std::vector<dvec3>> keypoints;  // per animal, world metres
+  std::vector<dmat4> placement;
+  Scene scene;
+  std::unique_ptr<Accel> accel;  // null when nothing is traced
+};
+
+struct Frame {
+  int number = 0;
+  std::shared_ptr<const FrameGeometry> geometry;
+  std::vector<CameraRecord> cameras;
+};
+
+class Mill {
+ public:
+  // Loads species, coats and textures as far as the scene's modalities want them. InputError on anything unusable.
+  explicit Mill(SceneSpec spec);
+  ~Mill();
+
+  const SceneSpec& spec() const { return spec_; }
+  Manifest manifest() const;
+  const Species& species(int animal) const;
+  int animals() const { return static_cast<int>(spec_.animals.size()); }
+
+  Frame prepare(int frame) const;                                  // thread-safe
+  View trace(const Frame& frame, const CameraRecord& camera) const;  // thread-safe
+  FrameRecord record(const Frame& frame) const;
+  const StageCounts& counts() const { return counts_; }
+
+ private:
+  struct Loaded;
+  Lights lights(const Frame& frame, const CameraRecord& camera) const;
+  void composite(View& view, const CameraRecord& camera) const;
+  void load_appearance();
+
+  SceneSpec spec_;
+  mutable StageCounts counts_;
+  std::unique_ptr<Loaded> loaded_;
+  mutable std::mutex mutex_;  // of the caches below
+  mutable std::shared_ptr<const FrameGeometry> last_geometry_;
+};
+
+}  // namespace moomill
