@@ -5,11 +5,11 @@
 #include <cstring>
 #include <glm/gtc/matrix_inverse.hpp>
 #include <map>
-#include <set>
 
 #include "generator/core/error.h"
 #include "rigs/gltf_axes.h"
 #include "rigs/gltf_container.h"
+#include "rigs/loading.h"
 #include "rigs/pose.h"
 #include "rigs/rig.h"
 
@@ -260,11 +260,14 @@ void Reader::read_nodes(const std::vector<int>& in_scene) {
       if (parent[child] != -1) fail("nodes[{}] is a child of both node {} and node {}", child, parent[child], i);
       parent[child] = i;
     }
-  for (int i = 0; i < count; ++i) {
-    int steps = 0;
-    for (int above = parent[i]; above != -1; above = parent[above])
-      if (above == i || ++steps > count) fail("nodes[{}] is its own ancestor, break the cycle", i);
-  }
+  // With one parent each, nodes that no parentless node reaches are in a cycle.
+  std::vector<int> tops;
+  for (int i = 0; i < count; ++i)
+    if (parent[i] == -1) tops.push_back(i);
+  std::vector<char> sound(count, 0);
+  for (const int node : reachable(tops)) sound[node] = 1;
+  for (int i = 0; i < count; ++i)
+    if (!sound[i]) fail("nodes[{}] is its own ancestor, break the cycle", i);
   for (const int root : in_scene) index_in(root, model.nodes.size(), "the scene", "node");
   std::vector<int> roots = in_scene;
   for (const int node : reachable(in_scene)) {
@@ -294,18 +297,7 @@ void Reader::read_nodes(const std::vector<int>& in_scene) {
       numbers(from.matrix, 16, "matrix");
       dmat4 m;
       for (int k = 0; k < 16; ++k) m[k / 4][k % 4] = from.matrix[k];
-      m = to_z_up(m);
-      const LocalTransform local = decompose(m);
-      const dmat4 again = compose(local);
-      double size = 0, error = 0;
-      for (int k = 0; k < 16; ++k) {
-        size = std::max(size, std::abs(m[k / 4][k % 4]));
-        error = std::max(error, std::abs(again[k / 4][k % 4] - m[k / 4][k % 4]));
-      }
-      node.translation = local.translation;
-      node.rotation = local.rotation;
-      node.scale = local.scale;
-      if (!(error <= 1e-12 * size)) node.matrix = m;
+      set_transform(node, to_z_up(m), 1e-12);
     }
     if (!from.translation.empty()) {
       numbers(from.translation, 3, "translation");
@@ -329,24 +321,7 @@ void Reader::read_nodes(const std::vector<int>& in_scene) {
   world = world_transforms(rig, bind_pose(rig));
 }
 
-double largest_difference(const dmat4& a, const dmat4& b) {
-  double most = 0;
-  for (int c = 0; c < 4; ++c)
-    for (int r = 0; r < 4; ++r) most = std::max(most, std::abs(a[c][r] - b[c][r]));
-  return most;
-}
-
-bool is_invertible(const dmat4& m) {
-  for (int c = 0; c < 4; ++c)
-    if (!all_finite(m[c])) return false;
-  const double size = std::max({glm::length(m[0]), glm::length(m[1]), glm::length(m[2])});
-  return std::abs(glm::determinant(dmat3(m))) > 1e-12 * size * size * size;
-}
-
-// Adds the bones of a skin. Its vertices are in a space of their own, which joint * inverse bind matrix takes to model
-// space, equally for every joint where the file is posed as it was bound. That common matrix is moved from the inverse
-// bind matrices into the vertices, so that rest positions are in model space and metres. It changes no posed vertex,
-// and where the spaces agree already nothing is touched.
+// Adds the bones of a skin; see skin_space() for what happens to their matrices.
 void Reader::read_skin(int index) {
   if (skin_bones.count(index)) return;
   index_in(index, model.skins.size(), "a node", "skin");
@@ -364,16 +339,10 @@ void Reader::read_skin(int index) {
       inverse_bind[j] = to_z_up(inverse_bind[j]);
     }
   }
-  // The joint nearest to the root speaks for all: poses seldom move it.
   std::size_t top = 0;
   for (std::size_t j = 1; j < skin.joints.size(); ++j)
     if (node_of[skin.joints[j]] < node_of[skin.joints[top]]) top = j;
-  dmat4 to_model = world[node_of[skin.joints[top]]] * inverse_bind[top];
-  if (!is_invertible(to_model)) {
-    rig.warnings.push_back(fmt::format("skin {} has a flat bind matrix, its vertices stay in their own space", index));
-    to_model = dmat4(1.0);
-  }
-  if (largest_difference(to_model, dmat4(1.0)) < 1e-5) to_model = dmat4(1.0);
+  const dmat4 to_model = skin_space(world[node_of[skin.joints[top]]], inverse_bind[top], rig.warnings);
   const bool moved = to_model != dmat4(1.0);
   skin_bones[index] = static_cast<std::uint32_t>(rig.bones.size());
   skin_to_model[index] = to_model;
@@ -761,33 +730,16 @@ Rig read(const std::filesystem::path& path, const LoadOptions& options) {
     holders.push_back(node);
     any_skinned |= r.model.nodes[node].skin >= 0;
   }
-  std::set<std::string> wanted(options.include_meshes.begin(), options.include_meshes.end()), found;
   r.rig.influence_begin = {0};
-  std::size_t left_out = 0;
+  MeshChoice choice(options, any_skinned);
   for (const int node : holders) {
     const tinygltf::Node& holder = r.model.nodes[node];
-    const std::string& mesh = r.model.meshes[holder.mesh].name;
-    const bool take = wanted.empty() ? !any_skinned || holder.skin >= 0 : wanted.count(holder.name) || wanted.count(mesh);
-    if (!take) {
-      ++left_out;
-      continue;
-    }
-    found.insert(holder.name);
-    found.insert(mesh);
-    r.read_mesh(node);
+    if (choice.takes(holder.name, r.model.meshes[holder.mesh].name, holder.skin >= 0)) r.read_mesh(node);
   }
-  for (const std::string& name : wanted)
-    if (!found.count(name)) {
-      std::string names;
-      for (const int node : holders)
-        names += (names.empty() ? "'" : ", '") + r.model.meshes[r.model.nodes[node].mesh].name + "'";
-      r.fail("has no mesh '{}', only {}", name, names.empty() ? "none at all" : names);
-    }
+  choice.finish(r.rig);
   Surface& s = r.rig.surface;
   if (!s.uvs.empty()) s.uvs.resize(s.rest.size(), vec2(0));
   if (!s.colors.empty()) s.colors.resize(s.rest.size(), vec3(1));
-  if (left_out && wanted.empty())
-    r.rig.warnings.push_back(fmt::format("{} meshes without skin were left out, name them to have them", left_out));
   if (r.skipped_primitives)
     r.rig.warnings.push_back(fmt::format("{} primitives of points or lines were left out", r.skipped_primitives));
   if (r.leftover_indices)

@@ -40,7 +40,6 @@ TEST_CASE("Rigs of others load, and skinning their rest pose gives their rest po
   for (const char* folder : {"rigged", "static"})
     for (const fs::path& file : assets(folder)) {
       CAPTURE(file.string());
-      if (file.extension() == ".fbx" || file.extension() == ".obj") continue;
       const Rig rig = load_rig(file);
       const Box box = bounds(rig.surface.rest);
       CHECK(rig.surface.triangles.size() > 100);
@@ -57,4 +56,30 @@ TEST_CASE("Rigs of others load, and skinning their rest pose gives their rest po
         CHECK(worst <= 1e-5 * box.diagonal());
       }
     }
+}
+
+TEST_CASE("The same sheep from FBX and from glTF has the same rest pose") {
+  const auto files = assets("rigged");
+  if (files.empty()) return;
+  const fs::path folder = files.front().parent_path();
+  const fs::path one = folder.filename() == "rigged" ? folder : folder.parent_path();
+  const Rig fbx = load_rig(one / "quaternius_2018_sheep.fbx");
+  const Rig gltf = load_rig(one / "quaternius_2018_sheep_gltf" / "Sheep.gltf");
+  const auto distance = [](const std::vector<vec3>& from, const std::vector<vec3>& to) {
+    double worst = 0;
+    for (const vec3& p : from) {
+      double nearest = 1e30;
+      for (const vec3& q : to) nearest = std::min<double>(nearest, glm::length(dvec3(p) - dvec3(q)));
+      worst = std::max(worst, nearest);
+    }
+    return worst;
+  };
+  const double size = bounds(gltf.surface.rest).diagonal();
+  const double there = distance(fbx.surface.rest, gltf.surface.rest) / size;
+  const double back = distance(gltf.surface.rest, fbx.surface.rest) / size;
+  MESSAGE("sheep, FBX to glTF ", there, ", glTF to FBX ", back, " of its size (", size, " m), ", fbx.surface.rest.size(),
+          " and ", gltf.surface.rest.size(), " vertices");
+  CHECK(fbx.surface.triangles.size() == gltf.surface.triangles.size());
+  CHECK(there < 1e-4);
+  CHECK(back < 1e-4);
 }
