@@ -5,24 +5,12 @@
 
 #include "generator/core/error.h"
 #include "rigs/pose.h"
+#include "tests/rigs/fixtures.h"
 
 using namespace moomill;
 namespace fs = std::filesystem;
 
 namespace {
-
-std::vector<fs::path> assets(const std::string& below) {
-  const fs::path folder = fs::path(MOOMILL_SOURCE_DIR) / "../shared/assets" / below;
-  std::vector<fs::path> files;
-  std::error_code error;
-  for (const auto& entry : fs::recursive_directory_iterator(folder, error)) {
-    const std::string e = entry.path().extension().string();
-    if (e == ".glb" || e == ".gltf" || e == ".fbx" || e == ".obj" || e == ".dae") files.push_back(entry.path());
-  }
-  std::sort(files.begin(), files.end());
-  if (files.empty()) MESSAGE("no assets at ", folder.string(), ": nothing tested");
-  return files;
-}
 
 PosedSurface posed_at_rest(const Rig& rig, SkinningMethod method = SkinningMethod::linear_blend) {
   return skin(rig, bone_matrices(rig, world_transforms(rig, rest_pose(rig))), {}, method, dvec3(0));
