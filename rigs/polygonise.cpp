@@ -9,7 +9,7 @@
 namespace moomill {
 namespace {
 
-constexpr int block = 8;  // lattice cells along a side of a block
+constexpr int block = 4;  // lattice cells along a side of a block
 
 struct Lattice {
   dvec3 origin{0};
@@ -54,21 +54,16 @@ Lattice sample_lattice(const Field& field, double grid, Blocks& blocks) {
               z = static_cast<int>(b / blocks.nx / blocks.ny);
     return std::array<int, 3>{x, y, z};
   };
-  // The field is about metric; twice the half diagonal leaves room for what "about" means.
-  const double reach = 2 * 0.5 * std::sqrt(3.0) * block * grid;
+  // The field is about metric; more than the half diagonal leaves room for what "about" means.
+  const double reach = 1.6 * 0.5 * std::sqrt(3.0) * block * grid;
   parallel_for(n, 16, [&](std::size_t b) {
     const auto [x, y, z] = corner(b);
     const double half = 0.5 * block;
     const dvec3 centre = lattice.origin + grid * dvec3(x * block + half, y * block + half, z * block + half);
     blocks.active[b] = std::abs(field.distance(centre)) < reach;
-    // A far default where no shape is listed must not hide shapes that begin within the block.
-    for (int k = 0; !blocks.active[b] && k < 8; ++k) {
-      const dvec3 p = lattice.at((x + (k & 1)) * block, (y + (k >> 1 & 1)) * block, (z + (k >> 2)) * block);
-      blocks.active[b] = std::abs(field.distance(p)) < reach;
-    }
   });
   // Every point is sampled once, by the block it is the lower part of, also when only a lower neighbour is active.
-  parallel_for(n, 4, [&](std::size_t b) {
+  parallel_for(n, 16, [&](std::size_t b) {
     const auto [bx, by, bz] = corner(b);
     bool needed = false;
     for (int k = 0; k < 8; ++k) {

@@ -76,7 +76,7 @@ void split_edge(Work& w, const Field& field, Index a, Index b) {
   if (s.count < 1 || s.count > 2) return;
   const Index m = static_cast<Index>(w.position.size());
   const bool border = s.count == 1;
-  const dvec3 middle = 0.5 * (w.position[a] + w.position[b]), projected = field.project(middle, 2, border);
+  const dvec3 middle = 0.5 * (w.position[a] + w.position[b]), projected = field.project(middle, 1, border);
   // Where the field folds sharply the projection may land far away, and splitting would never end.
   const bool near = glm::length(projected - middle) < 0.25 * glm::length(w.position[a] - w.position[b]);
   w.position.push_back(near ? projected : middle);
@@ -133,11 +133,10 @@ bool keeps_facing(const Work& w, Index v, Index other, const dvec3& p) {
   return true;
 }
 
-bool collapse_edge(Work& w, const Field& field, Index a, Index b, std::vector<Index>& na, std::vector<Index>& nb) {
+bool collapse_edge(Work& w, Index a, Index b, std::vector<Index>& na, std::vector<Index>& nb) {
   const Sides s = sides_of(w, a, b);
   if (s.count < 1 || s.count > 2) return false;
-  const bool border_edge = s.count == 1;
-  if (w.border[a] && w.border[b] && !border_edge) return false;
+  if (w.border[a] && w.border[b] && s.count == 2) return false;
   if (w.border[b] && !w.border[a]) std::swap(a, b);  // b goes, a stays
   neighbours(w, a, na);
   neighbours(w, b, nb);
@@ -155,7 +154,7 @@ bool collapse_edge(Work& w, const Field& field, Index a, Index b, std::vector<In
   for (int i = 0; i < s.count; ++i)
     if (w.around[s.opposite[i]].size() < (w.border[s.opposite[i]] ? 3u : 5u)) return false;
   dvec3 p = w.position[a];
-  if (w.border[a] == w.border[b]) p = field.project(0.5 * (w.position[a] + w.position[b]), 2, border_edge);
+  if (w.border[a] == w.border[b]) p = 0.5 * (w.position[a] + w.position[b]);  // relaxing puts it back onto the surface
   for (const std::vector<Index>* list : {&na, &nb})
     for (const Index v : *list)
       if (v != a && v != b && glm::length(w.position[v] - p) > 4.0 / 3.0 * wanted(w, a, v)) return false;
@@ -177,12 +176,12 @@ bool collapse_edge(Work& w, const Field& field, Index a, Index b, std::vector<In
   return true;
 }
 
-void collapse_short(Work& w, const Field& field) {
+void collapse_short(Work& w) {
   std::vector<Index> na, nb;
   for (Index t = 0; t < w.triangle.size(); ++t)
     for (int k = 0; k < 3 && !w.dead(t); ++k) {
       const Index a = w.triangle[t][k], b = w.triangle[t][(k + 1) % 3];
-      if (glm::length(w.position[a] - w.position[b]) < 4.0 / 5.0 * wanted(w, a, b) && collapse_edge(w, field, a, b, na, nb)) k = -1;
+      if (glm::length(w.position[a] - w.position[b]) < 4.0 / 5.0 * wanted(w, a, b) && collapse_edge(w, a, b, na, nb)) k = -1;
     }
 }
 
@@ -230,7 +229,7 @@ void flip_edges(Work& w) {
 void relax(Work& w, const Field& field) {
   std::vector<dvec3> moved(w.position);
   parallel_for(w.position.size(), 256, [&](std::size_t i) {
-    if (w.around[i].empty()) return;
+    if (w.around[i].empty()) return;  // collapsed away
     std::vector<Index> near;
     neighbours(w, static_cast<Index>(i), near);
     dvec3 sum(0.0), normal(0.0);
@@ -277,15 +276,14 @@ void remesh(HalfMesh& mesh, const Field& field, double target_edge, int rounds) 
   w.size.resize(w.position.size());
   for (Index t = 0; t < w.triangle.size(); ++t)
     for (int k = 0; k < 3; ++k) w.around[w.triangle[t][k]].push_back(t);
-  parallel_for(w.position.size(), 256, [&](std::size_t i) { w.position[i] = field.project(w.position[i], 2, w.border[i]); });
   for (int round = 0; round < rounds; ++round) {
     refresh_sizes(w, field, target_edge);
     split_long(w, field);
-    collapse_short(w, field);
+    collapse_short(w);
     flip_edges(w);
     relax(w, field);
-    relax(w, field);
   }
+  relax(w, field);
   flip_edges(w);
 
   std::vector<Index> number(w.position.size(), gone);
