@@ -5,11 +5,11 @@
 #include <cstring>
 #include <glm/gtc/matrix_inverse.hpp>
 #include <map>
-#include <set>
 
 #include "generator/core/error.h"
 #include "rigs/gltf_axes.h"
 #include "rigs/gltf_container.h"
+#include "rigs/loading.h"
 #include "rigs/pose.h"
 #include "rigs/rig.h"
 
@@ -159,6 +159,8 @@ struct Reader {
   void parse();
   std::vector<int> scene_roots(const LoadOptions& options) const;
   std::vector<int> reachable(const std::vector<int>& roots) const;
+  std::vector<int> parents() const;
+  Node convert_node(int i, double matrix_error) const;
   void read_nodes(const std::vector<int>& in_scene);
   void read_skin(int skin);
   std::uint32_t rigid_bone(int node);
@@ -171,6 +173,8 @@ struct Reader {
                                             const std::string& who);
   void read_primitive(int node, const tinygltf::Primitive& primitive, const std::string& name, int first_slot);
   void read_clips();
+  void read_own(const nlohmann::json& own);
+  void read_own_mesh(const nlohmann::json& about, int mesh);
 };
 
 // tinygltf asks for the buffers by the names parse() gave them.
@@ -250,8 +254,43 @@ std::vector<int> Reader::reachable(const std::vector<int>& roots) const {
   return order;
 }
 
-// Keeps the nodes of the scene, and joints outside of it with their ancestors.
-void Reader::read_nodes(const std::vector<int>& in_scene) {
+// A node without its parent. A matrix is kept where translation, rotation and scale miss it by more than the error.
+Node Reader::convert_node(int i, double matrix_error) const {
+  const tinygltf::Node& from = model.nodes[i];
+  const auto numbers = [&](const std::vector<double>& v, std::size_t size, const char* what) {
+    if (v.size() != size) fail("nodes[{}].{} has {} numbers instead of {}", i, what, v.size(), size);
+    for (const double x : v)
+      if (!std::isfinite(x)) fail("nodes[{}].{} is not finite", i, what);
+  };
+  Node node;
+  node.name = from.name;
+  if (!from.matrix.empty()) {
+    numbers(from.matrix, 16, "matrix");
+    dmat4 m;
+    for (int k = 0; k < 16; ++k) m[k / 4][k % 4] = from.matrix[k];
+    set_transform(node, to_z_up(m), matrix_error);
+  }
+  if (!from.translation.empty()) {
+    numbers(from.translation, 3, "translation");
+    node.translation = to_z_up(dvec3(from.translation[0], from.translation[1], from.translation[2]));
+  }
+  if (!from.rotation.empty()) {
+    numbers(from.rotation, 4, "rotation");
+    node.rotation = to_z_up(dquat(from.rotation[3], from.rotation[0], from.rotation[1], from.rotation[2]));
+    const double length = std::sqrt(glm::dot(node.rotation, node.rotation));
+    if (!(length > 1e-6)) fail("nodes[{}].rotation is zero", i);
+    // Files round to float; a quaternion of exact length keeps sizes exact. Near enough to 1 it stays bit for bit.
+    if (std::abs(length - 1) > 1e-15) node.rotation = node.rotation / length;
+  }
+  if (!from.scale.empty()) {
+    numbers(from.scale, 3, "scale");
+    node.scale = swap_scale(dvec3(from.scale[0], from.scale[1], from.scale[2]));
+  }
+  return node;
+}
+
+// The parent of every node, -1 for roots.
+std::vector<int> Reader::parents() const {
   const int count = static_cast<int>(model.nodes.size());
   std::vector<int> parent(count, -1);
   for (int i = 0; i < count; ++i)
@@ -260,12 +299,20 @@ void Reader::read_nodes(const std::vector<int>& in_scene) {
       if (parent[child] != -1) fail("nodes[{}] is a child of both node {} and node {}", child, parent[child], i);
       parent[child] = i;
     }
-  for (int i = 0; i < count; ++i) {
-    int steps = 0;
-    for (int above = parent[i]; above != -1; above = parent[above])
-      if (above == i || ++steps > count) fail("nodes[{}] is its own ancestor, break the cycle", i);
-  }
-  for (const int root : in_scene) index_in(root, model.nodes.size(), "the scene", "node");
+  // With one parent each, nodes that no parentless node reaches are in a cycle.
+  std::vector<int> tops;
+  for (int i = 0; i < count; ++i)
+    if (parent[i] == -1) tops.push_back(i);
+  std::vector<char> sound(count, 0);
+  for (const int node : reachable(tops)) sound[node] = 1;
+  for (int i = 0; i < count; ++i)
+    if (!sound[i]) fail("nodes[{}] is its own ancestor, break the cycle", i);
+  return parent;
+}
+
+// Keeps the nodes of the scene, and joints outside of it with their ancestors.
+void Reader::read_nodes(const std::vector<int>& in_scene) {
+  const std::vector<int> parent = parents();
   std::vector<int> roots = in_scene;
   for (const int node : reachable(in_scene)) {
     const int skin = model.nodes[node].skin;
@@ -278,75 +325,18 @@ void Reader::read_nodes(const std::vector<int>& in_scene) {
       roots.push_back(top);
     }
   }
-  node_of.assign(count, -1);
+  node_of.assign(model.nodes.size(), -1);
   for (const int i : reachable(roots)) {
-    const tinygltf::Node& from = model.nodes[i];
-    const auto numbers = [&](const std::vector<double>& v, std::size_t size, const char* what) {
-      if (v.size() != size) fail("nodes[{}].{} has {} numbers instead of {}", i, what, v.size(), size);
-      for (const double x : v)
-        if (!std::isfinite(x)) fail("nodes[{}].{} is not finite", i, what);
-    };
-    Node node;
-    node.name = from.name;
+    Node node = convert_node(i, 1e-12);
     // The parent may lie outside of the scene, where a scene lists a child as a root: then it has none.
     node.parent = parent[i] >= 0 ? node_of[parent[i]] : -1;
-    if (!from.matrix.empty()) {
-      numbers(from.matrix, 16, "matrix");
-      dmat4 m;
-      for (int k = 0; k < 16; ++k) m[k / 4][k % 4] = from.matrix[k];
-      m = to_z_up(m);
-      const LocalTransform local = decompose(m);
-      const dmat4 again = compose(local);
-      double size = 0, error = 0;
-      for (int k = 0; k < 16; ++k) {
-        size = std::max(size, std::abs(m[k / 4][k % 4]));
-        error = std::max(error, std::abs(again[k / 4][k % 4] - m[k / 4][k % 4]));
-      }
-      node.translation = local.translation;
-      node.rotation = local.rotation;
-      node.scale = local.scale;
-      if (!(error <= 1e-12 * size)) node.matrix = m;
-    }
-    if (!from.translation.empty()) {
-      numbers(from.translation, 3, "translation");
-      node.translation = to_z_up(dvec3(from.translation[0], from.translation[1], from.translation[2]));
-    }
-    if (!from.rotation.empty()) {
-      numbers(from.rotation, 4, "rotation");
-      node.rotation = to_z_up(dquat(from.rotation[3], from.rotation[0], from.rotation[1], from.rotation[2]));
-      const double length = std::sqrt(glm::dot(node.rotation, node.rotation));
-      if (!(length > 1e-6)) fail("nodes[{}].rotation is zero", i);
-      // Files round to float; a quaternion of exact length keeps sizes exact. Near enough to 1 it stays bit for bit.
-      if (std::abs(length - 1) > 1e-15) node.rotation = node.rotation / length;
-    }
-    if (!from.scale.empty()) {
-      numbers(from.scale, 3, "scale");
-      node.scale = swap_scale(dvec3(from.scale[0], from.scale[1], from.scale[2]));
-    }
     node_of[i] = static_cast<int>(rig.nodes.size());
     rig.nodes.push_back(std::move(node));
   }
   world = world_transforms(rig, bind_pose(rig));
 }
 
-double largest_difference(const dmat4& a, const dmat4& b) {
-  double most = 0;
-  for (int c = 0; c < 4; ++c)
-    for (int r = 0; r < 4; ++r) most = std::max(most, std::abs(a[c][r] - b[c][r]));
-  return most;
-}
-
-bool is_invertible(const dmat4& m) {
-  for (int c = 0; c < 4; ++c)
-    if (!all_finite(m[c])) return false;
-  const double size = std::max({glm::length(m[0]), glm::length(m[1]), glm::length(m[2])});
-  return std::abs(glm::determinant(dmat3(m))) > 1e-12 * size * size * size;
-}
-
-// Adds the bones of a skin. Its vertices are in a space of their own, which joint * inverse bind matrix takes to model
-// space, equally for every joint where the file is posed as it was bound. That common matrix is moved from the inverse
-// bind matrices into the vertices, so that rest positions are in model space and metres. It changes no posed vertex,
-// and where the spaces agree already nothing is touched.
+// Adds the bones of a skin; see skin_space() for what happens to their matrices.
 void Reader::read_skin(int index) {
   if (skin_bones.count(index)) return;
   index_in(index, model.skins.size(), "a node", "skin");
@@ -364,16 +354,10 @@ void Reader::read_skin(int index) {
       inverse_bind[j] = to_z_up(inverse_bind[j]);
     }
   }
-  // The joint nearest to the root speaks for all: poses seldom move it.
   std::size_t top = 0;
   for (std::size_t j = 1; j < skin.joints.size(); ++j)
     if (node_of[skin.joints[j]] < node_of[skin.joints[top]]) top = j;
-  dmat4 to_model = world[node_of[skin.joints[top]]] * inverse_bind[top];
-  if (!is_invertible(to_model)) {
-    rig.warnings.push_back(fmt::format("skin {} has a flat bind matrix, its vertices stay in their own space", index));
-    to_model = dmat4(1.0);
-  }
-  if (largest_difference(to_model, dmat4(1.0)) < 1e-5) to_model = dmat4(1.0);
+  const dmat4 to_model = skin_space(world[node_of[skin.joints[top]]], inverse_bind[top], rig.warnings);
   const bool moved = to_model != dmat4(1.0);
   skin_bones[index] = static_cast<std::uint32_t>(rig.bones.size());
   skin_to_model[index] = to_model;
@@ -741,6 +725,151 @@ void Reader::read_clips() {
   if (ignored) rig.warnings.push_back(fmt::format("{} animation channels move what moomill does not know", ignored));
 }
 
+// Restores what write_glb() wrote, bit for bit. JSON exceptions mean that someone changed it.
+void Reader::read_own(const nlohmann::json& own) {
+  const std::size_t nodes = own.at("nodes").get<std::size_t>();
+  if (nodes > model.nodes.size()) fail("should have {} nodes but has {}", nodes, model.nodes.size());
+  const std::vector<int> parent = parents();
+  node_of.assign(model.nodes.size(), -1);
+  for (std::size_t i = 0; i < nodes; ++i) {
+    node_of[i] = static_cast<int>(i);
+    rig.nodes.push_back(convert_node(static_cast<int>(i), -1));
+    rig.nodes.back().parent = parent[i] >= 0 && parent[i] < static_cast<int>(nodes) ? parent[i] : -1;
+  }
+  read_materials();
+  for (const auto& bone : own.at("bones")) {
+    Bone b{bone.at("node").get<int>()};
+    for (int k = 0; k < 16; ++k) b.inverse_bind[k / 4][k % 4] = bone.at("inverse_bind").at(k).get<double>();
+    index_in(b.node, nodes, "a bone", "node");
+    rig.bones.push_back(b);
+  }
+  for (const auto& slot : own.at("morph_slots")) {
+    rig.morph_weights.push_back(slot.at("weight").get<double>());
+    rig.morph_node.push_back(slot.at("node").get<int>());
+    rig.morph_index.push_back(slot.at("index").get<int>());
+  }
+  std::map<std::size_t, MorphTarget> morphs;
+  rig.influence_begin = {0};
+  for (std::size_t m = 0; m < own.at("meshes").size(); ++m) {
+    read_own_mesh(own.at("meshes").at(m), static_cast<int>(m));
+    const auto& about = own.at("meshes").at(m);
+    for (std::size_t t = 0; t < about.at("morphs").size(); ++t) {
+      const auto& entry = about.at("morphs").at(t);
+      const auto& primitive = model.meshes[m].primitives[0];
+      index_in(static_cast<int>(t), primitive.targets.size(), "extras.moomill", "morph target");
+      MorphTarget morph{.name = entry.at("name").get<std::string>(), .first_vertex = rig.meshes.back().first_vertex};
+      morph.weight_slot = entry.at("slot").get<int>();
+      for (const auto& [key, accessor] : primitive.targets[t]) {
+        const Values v = values(accessor, "morph target", {3});
+        if (v.count != rig.meshes.back().vertex_count) fail("morph target '{}' has another number of vertices", morph.name);
+        std::vector<vec3>& out = key == "NORMAL" ? morph.normals : morph.positions;
+        for (std::size_t i = 0; i < v.count; ++i) out.push_back(vec3(to_z_up(dvec3(v[i][0], v[i][1], v[i][2]))));
+      }
+      morphs[entry.at("order").get<std::size_t>()] = std::move(morph);
+    }
+  }
+  for (auto& [order, morph] : morphs) rig.morphs.push_back(std::move(morph));
+  rig.part_names = own.at("part_names").get<std::vector<std::string>>();
+  rig.surface.normalization =
+      own.at("normalization") == "diagonal" ? NnopcsNormalization::diagonal : NnopcsNormalization::box;
+  if (own.contains("neutral_box"))
+    for (int k = 0; k < 3; ++k) {
+      rig.surface.neutral_box.lower[k] = own.at("neutral_box").at(0).at(k).get<double>();
+      rig.surface.neutral_box.upper[k] = own.at("neutral_box").at(1).at(k).get<double>();
+    }
+  // Weights channels move the nodes that hold meshes; the rig's own node is noted beside them.
+  for (std::size_t a = 0; a < model.animations.size(); ++a)
+    for (std::size_t c = 0; c < model.animations[a].channels.size(); ++c) {
+      auto& channel = model.animations[a].channels[c];
+      if (channel.extras.IsObject() && channel.extras.Has("node")) channel.target_node = channel.extras.Get("node").GetNumberAsInt();
+    }
+  read_clips();
+  std::vector<Clip> clips = std::move(rig.clips);
+  rig.clips.clear();
+  std::size_t next = 0;
+  for (const auto& entry : own.at("clips")) {
+    Clip clip;
+    if (!entry.contains("empty")) {
+      index_in(static_cast<int>(next), clips.size(), "extras.moomill", "clip");
+      clip = std::move(clips[next++]);
+    }
+    clip.name = entry.at("name").get<std::string>();
+    clip.duration = entry.at("duration").get<double>();
+    rig.clips.push_back(std::move(clip));
+  }
+}
+
+void Reader::read_own_mesh(const nlohmann::json& about, int mesh) {
+  index_in(mesh, model.meshes.size(), "extras.moomill", "mesh");
+  if (model.meshes[mesh].primitives.empty()) fail("mesh {} has no primitives", mesh);
+  const auto& attributes = model.meshes[mesh].primitives[0].attributes;
+  Surface& s = rig.surface;
+  MeshPart part{.name = about.at("name").get<std::string>()};
+  part.first_vertex = static_cast<std::uint32_t>(s.rest.size());
+  part.first_triangle = static_cast<std::uint32_t>(s.triangles.size());
+  part.skinned = about.at("skinned").get<bool>();
+  part.node = about.at("node").get<int>();
+  const auto read = [&](const std::string& key, int width) {
+    const auto it = attributes.find(key);
+    return it == attributes.end() ? Values{} : values(it->second, key, {width});
+  };
+  const Values positions = read("POSITION", 3);
+  const std::size_t count = positions.count;
+  part.vertex_count = static_cast<std::uint32_t>(count);
+  const auto vectors = [&](const Values& v, auto& out, bool turn) {
+    if (v.count != 0 && v.count != count) fail("mesh '{}' has attributes of different lengths", part.name);
+    for (std::size_t i = 0; i < v.count; ++i) {
+      const dvec3 x(v[i][0], v[i][1], v[i][2]);
+      out.push_back(vec3(turn ? to_z_up(x) : x));
+    }
+  };
+  vectors(positions, s.rest, true);
+  vectors(read("NORMAL", 3), s.normals, true);
+  vectors(read("COLOR_0", 3), s.colors, false);
+  vectors(read("_NNOPCS", 3), s.nnopcs, false);
+  const Values uvs = read("TEXCOORD_0", 2);
+  for (std::size_t i = 0; i < uvs.count; ++i) s.uvs.push_back(vec2(uvs[i][0], uvs[i][1]));
+  std::vector<std::pair<Values, Values>> sets;
+  for (int n = 0; attributes.count(fmt::format("JOINTS_{}", n)); ++n) {
+    sets.emplace_back(read(fmt::format("JOINTS_{}", n), 4), read(fmt::format("WEIGHTS_{}", n), 4));
+    if (sets.back().first.count != count || sets.back().second.count != count)
+      fail("mesh '{}' has attributes of different lengths", part.name);
+  }
+  const std::vector<std::uint32_t> bones =
+      about.contains("bones") ? about.at("bones").get<std::vector<std::uint32_t>>() : std::vector<std::uint32_t>();
+  for (std::size_t i = 0; i < count; ++i) {
+    for (const auto& [joint, weight] : sets)
+      for (int k = 0; k < 4; ++k) {
+        if (weight[i][k] == 0) continue;
+        auto bone = static_cast<std::uint32_t>(std::clamp(joint[i][k], 0.0, 1e6));
+        if (!bones.empty()) {
+          index_in(static_cast<int>(bone), bones.size(), "a vertex", "joint");
+          bone = bones[bone];
+        }
+        rig.influences.push_back({bone, static_cast<float>(weight[i][k])});
+      }
+    rig.influence_begin.push_back(static_cast<std::uint32_t>(rig.influences.size()));
+  }
+  const Values corners = values(about.at("triangles").get<int>(), "triangles", {1});
+  const Values materials = values(about.at("materials").get<int>(), "materials", {1});
+  const Values parts = values(about.at("parts").get<int>(), "parts", {1});
+  part.triangle_count = static_cast<std::uint32_t>(corners.count / 3);
+  if (corners.count % 3 || materials.count * 3 != corners.count || parts.count != materials.count)
+    fail("mesh '{}' has lists of triangles of different lengths", part.name);
+  for (std::size_t t = 0; t < materials.count; ++t) {
+    uvec3 triangle;
+    for (int k = 0; k < 3; ++k) {
+      const double corner = corners.data[3 * t + k];
+      if (!(corner >= 0 && corner < static_cast<double>(count))) fail("a triangle of mesh '{}' has no such vertex", part.name);
+      triangle[k] = part.first_vertex + static_cast<std::uint32_t>(corner);
+    }
+    s.triangles.push_back(triangle);
+    s.materials.push_back(static_cast<std::uint16_t>(std::clamp(materials.data[t], 0.0, 65535.0)));
+    s.parts.push_back(static_cast<std::uint16_t>(std::clamp(parts.data[t], 0.0, 65535.0)));
+  }
+  rig.meshes.push_back(std::move(part));
+}
+
 Rig read(const std::filesystem::path& path, const LoadOptions& options) {
   Reader r;
   r.file = path.string();
@@ -748,7 +877,17 @@ Rig read(const std::filesystem::path& path, const LoadOptions& options) {
   r.parse();
   r.rig.source = r.file;
   r.rig.warnings = r.container.warnings;
+  if (const auto extras = r.container.json.find("extras");
+      extras != r.container.json.end() && extras->is_object() && extras->contains("moomill")) {
+    try {
+      r.read_own((*extras)["moomill"]);
+    } catch (const nlohmann::json::exception& e) {
+      r.fail("its extras.moomill is broken ({}), write the rig again", e.what());
+    }
+    return std::move(r.rig);
+  }
   const std::vector<int> roots = r.scene_roots(options);
+  for (const int root : roots) r.index_in(root, r.model.nodes.size(), "the scene", "node");
   r.read_nodes(roots);
   r.read_materials();
 
@@ -761,33 +900,16 @@ Rig read(const std::filesystem::path& path, const LoadOptions& options) {
     holders.push_back(node);
     any_skinned |= r.model.nodes[node].skin >= 0;
   }
-  std::set<std::string> wanted(options.include_meshes.begin(), options.include_meshes.end()), found;
   r.rig.influence_begin = {0};
-  std::size_t left_out = 0;
+  MeshChoice choice(options, any_skinned);
   for (const int node : holders) {
     const tinygltf::Node& holder = r.model.nodes[node];
-    const std::string& mesh = r.model.meshes[holder.mesh].name;
-    const bool take = wanted.empty() ? !any_skinned || holder.skin >= 0 : wanted.count(holder.name) || wanted.count(mesh);
-    if (!take) {
-      ++left_out;
-      continue;
-    }
-    found.insert(holder.name);
-    found.insert(mesh);
-    r.read_mesh(node);
+    if (choice.takes(holder.name, r.model.meshes[holder.mesh].name, holder.skin >= 0)) r.read_mesh(node);
   }
-  for (const std::string& name : wanted)
-    if (!found.count(name)) {
-      std::string names;
-      for (const int node : holders)
-        names += (names.empty() ? "'" : ", '") + r.model.meshes[r.model.nodes[node].mesh].name + "'";
-      r.fail("has no mesh '{}', only {}", name, names.empty() ? "none at all" : names);
-    }
+  choice.finish(r.rig);
   Surface& s = r.rig.surface;
   if (!s.uvs.empty()) s.uvs.resize(s.rest.size(), vec2(0));
   if (!s.colors.empty()) s.colors.resize(s.rest.size(), vec3(1));
-  if (left_out && wanted.empty())
-    r.rig.warnings.push_back(fmt::format("{} meshes without skin were left out, name them to have them", left_out));
   if (r.skipped_primitives)
     r.rig.warnings.push_back(fmt::format("{} primitives of points or lines were left out", r.skipped_primitives));
   if (r.leftover_indices)

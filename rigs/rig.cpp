@@ -57,6 +57,16 @@ void check_node(const Rig& rig, int node, const char* what) {
     input_error("{}: {} refers to node {}, but there are {} nodes", rig.source, what, node, rig.nodes.size());
 }
 
+// Transforms take rotations for unit quaternions; files hold them rounded.
+void normalize_rotations(Rig& rig) {
+  for (Node& node : rig.nodes) {
+    const double length = std::sqrt(glm::dot(node.rotation, node.rotation));
+    if (!all_finite(node.translation) || !all_finite(node.scale) || !std::isfinite(length) || !(length > 0))
+      input_error("{}: the transform of node '{}' is not finite or has no rotation", rig.source, node.name);
+    if (std::abs(length - 1) > 1e-15) node.rotation = node.rotation / length;
+  }
+}
+
 void sort_nodes(Rig& rig) {
   const std::vector<int> order = parents_first(rig);
   for (const Bone& bone : rig.bones) check_node(rig, bone.node, "a bone");
@@ -142,10 +152,20 @@ void check_surface(Rig& rig) {
                           .vertex_count = static_cast<std::uint32_t>(vertices),
                           .triangle_count = static_cast<std::uint32_t>(triangles),
                           .skinned = !rig.bones.empty()});
-  for (const MeshPart& part : rig.meshes)
-    if (part.first_vertex > vertices || part.vertex_count > vertices - part.first_vertex ||
-        part.first_triangle > triangles || part.triangle_count > triangles - part.first_triangle)
-      input_error("{}: mesh '{}' reaches past the end of the surface", rig.source, part.name);
+  std::uint64_t next_vertex = 0, next_triangle = 0;
+  for (const MeshPart& part : rig.meshes) {
+    if (part.first_vertex != next_vertex || part.first_triangle != next_triangle)
+      input_error("{}: mesh '{}' does not begin where the one before it ends", rig.source, part.name);
+    next_vertex += part.vertex_count;
+    next_triangle += part.triangle_count;
+    for (std::uint64_t t = part.first_triangle; t < std::min<std::uint64_t>(next_triangle, triangles); ++t)
+      for (int k = 0; k < 3; ++k)
+        if (s.triangles[t][k] < part.first_vertex || s.triangles[t][k] >= next_vertex)
+          input_error("{}: triangle {} uses a vertex of another mesh than its own '{}'", rig.source, t, part.name);
+  }
+  if (next_vertex != vertices || next_triangle != triangles)
+    input_error("{}: its meshes have {} vertices and {} triangles of {} and {}", rig.source, next_vertex, next_triangle,
+                vertices, triangles);
   for (const MorphTarget& morph : rig.morphs)
     if (morph.first_vertex > vertices || morph.positions.size() > vertices - morph.first_vertex ||
         (!morph.normals.empty() && morph.normals.size() != morph.positions.size()) || morph.weight_slot < 0 ||
@@ -163,6 +183,18 @@ void check_materials(Rig& rig) {
                     rig.images.size());
 }
 
+void drop_idle_influences(Rig& rig) {
+  std::vector<Influence> kept;
+  std::vector<std::uint32_t> begin = {0};
+  for (std::size_t v = 0; v + 1 < rig.influence_begin.size(); ++v) {
+    for (std::uint32_t i = rig.influence_begin[v]; i < rig.influence_begin[v + 1]; ++i)
+      if (rig.influences[i].weight != 0) kept.push_back(rig.influences[i]);
+    begin.push_back(static_cast<std::uint32_t>(kept.size()));
+  }
+  rig.influences = std::move(kept);
+  rig.influence_begin = std::move(begin);
+}
+
 void check_weights(Rig& rig) {
   const std::size_t vertices = rig.surface.rest.size();
   if (rig.bones.empty()) {  // nothing to bind to: everything hangs on a root that stays
@@ -178,6 +210,12 @@ void check_weights(Rig& rig) {
       rig.influence_begin.back() != rig.influences.size() ||
       !std::is_sorted(rig.influence_begin.begin(), rig.influence_begin.end()))
     input_error("{}: the table of influences does not fit its {} vertices", rig.source, vertices);
+
+  for (const Influence& influence : rig.influences)
+    if (influence.weight == 0) {
+      drop_idle_influences(rig);
+      break;
+    }
 
   // Sums this near to 1 are float rounding: left alone, so that loading what was written changes no bit.
   constexpr double rounding = 1e-6, worth_a_warning = 1e-3;
@@ -352,6 +390,7 @@ void scale_rig(Rig& rig, double factor) {
 
 void finish_rig(Rig& rig) {
   make_unique(rig.nodes, "node", "nodes", rig.warnings);
+  normalize_rotations(rig);
   sort_nodes(rig);
   make_unique(rig.meshes, "mesh", "meshes", rig.warnings);
   make_unique(rig.clips, "clip", "clips", rig.warnings);

@@ -1,19 +1,33 @@
-// Default cameras fitted to the size a species file expects.
+// What can be known of a species at once, and default cameras fitted to its size.
 #include "scenes/scene.h"
+#include "scenes/species_summary.h"
 #include "scenes/toml.h"
 
 namespace moomill {
 
-CameraFraming default_framing(const std::string& species, const std::filesystem::path& relative_to) {
-  CameraFraming framing;
+SpeciesSummary summarize_species(const std::string& species, const std::filesystem::path& relative_to) {
   const std::filesystem::path file = find_species(species, relative_to);
-  if (file.extension() != ".toml") return framing;
+  SpeciesSummary summary;
+  summary.name = file.stem().string();
+  if (file.extension() != ".toml") return summary;
   const toml::table table = TomlReader::parse(file);
   TomlReader reader(table, file.string());
-  if (!reader.has("expected_length_m") || !reader.has("expected_height_m")) return framing;
+  summary.has_file = true;
+  summary.name = reader.text("name", summary.name);
+  summary.keypoints = reader.tables("keypoints").size();
+  summary.limits = reader.tables("limits").size();
+  if (auto source = reader.table("source")) summary.built = source->has("builder");
+  if (reader.has("expected_length_m")) summary.length = reader.number("expected_length_m", 1e-3, 1e4);
+  if (reader.has("expected_height_m")) summary.height = reader.number("expected_height_m", 1e-3, 1e4);
+  return summary;
+}
+
+CameraFraming default_framing(const std::string& species, const std::filesystem::path& relative_to) {
+  CameraFraming framing;
+  const SpeciesSummary summary = summarize_species(species, relative_to);
+  if (!summary.length || !summary.height) return framing;
   // The defaults are for an animal 2.2 m long and 1.65 m high; others get the same picture at their scale.
-  const double scale = std::max(reader.number("expected_length_m", 1e-3, 1e4) / 2.2,
-                                reader.number("expected_height_m", 1e-3, 1e4) / 1.65);
+  const double scale = std::max(*summary.length / 2.2, *summary.height / 1.65);
   framing.target *= scale;
   framing.radius *= scale;
   for (double& h : framing.heights) h *= scale;

@@ -5,24 +5,12 @@
 
 #include "generator/core/error.h"
 #include "rigs/pose.h"
+#include "tests/rigs/fixtures.h"
 
 using namespace moomill;
 namespace fs = std::filesystem;
 
 namespace {
-
-std::vector<fs::path> assets(const std::string& below) {
-  const fs::path folder = fs::path(MOOMILL_SOURCE_DIR) / "../shared/assets" / below;
-  std::vector<fs::path> files;
-  std::error_code error;
-  for (const auto& entry : fs::recursive_directory_iterator(folder, error)) {
-    const std::string e = entry.path().extension().string();
-    if (e == ".glb" || e == ".gltf" || e == ".fbx" || e == ".obj" || e == ".dae") files.push_back(entry.path());
-  }
-  std::sort(files.begin(), files.end());
-  if (files.empty()) MESSAGE("no assets at ", folder.string(), ": nothing tested");
-  return files;
-}
 
 PosedSurface posed_at_rest(const Rig& rig, SkinningMethod method = SkinningMethod::linear_blend) {
   return skin(rig, bone_matrices(rig, world_transforms(rig, rest_pose(rig))), {}, method, dvec3(0));
@@ -40,7 +28,6 @@ TEST_CASE("Rigs of others load, and skinning their rest pose gives their rest po
   for (const char* folder : {"rigged", "static"})
     for (const fs::path& file : assets(folder)) {
       CAPTURE(file.string());
-      if (file.extension() == ".fbx" || file.extension() == ".obj") continue;
       const Rig rig = load_rig(file);
       const Box box = bounds(rig.surface.rest);
       CHECK(rig.surface.triangles.size() > 100);
@@ -57,4 +44,30 @@ TEST_CASE("Rigs of others load, and skinning their rest pose gives their rest po
         CHECK(worst <= 1e-5 * box.diagonal());
       }
     }
+}
+
+TEST_CASE("The same sheep from FBX and from glTF has the same rest pose") {
+  const auto files = assets("rigged");
+  if (files.empty()) return;
+  const fs::path folder = files.front().parent_path();
+  const fs::path one = folder.filename() == "rigged" ? folder : folder.parent_path();
+  const Rig fbx = load_rig(one / "quaternius_2018_sheep.fbx");
+  const Rig gltf = load_rig(one / "quaternius_2018_sheep_gltf" / "Sheep.gltf");
+  const auto distance = [](const std::vector<vec3>& from, const std::vector<vec3>& to) {
+    double worst = 0;
+    for (const vec3& p : from) {
+      double nearest = 1e30;
+      for (const vec3& q : to) nearest = std::min<double>(nearest, glm::length(dvec3(p) - dvec3(q)));
+      worst = std::max(worst, nearest);
+    }
+    return worst;
+  };
+  const double size = bounds(gltf.surface.rest).diagonal();
+  const double there = distance(fbx.surface.rest, gltf.surface.rest) / size;
+  const double back = distance(gltf.surface.rest, fbx.surface.rest) / size;
+  MESSAGE("sheep, FBX to glTF ", there, ", glTF to FBX ", back, " of its size (", size, " m), ", fbx.surface.rest.size(),
+          " and ", gltf.surface.rest.size(), " vertices");
+  CHECK(fbx.surface.triangles.size() == gltf.surface.triangles.size());
+  CHECK(there < 1e-4);
+  CHECK(back < 1e-4);
 }

@@ -1,0 +1,227 @@
+#include "rigs/quadruped.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "generator/core/error.h"
+#include "generator/core/parallel.h"
+#include "rigs/clips.h"
+#include "rigs/remesh.h"
+#include "rigs/solids.h"
+#include "rigs/unwrap.h"
+
+namespace moomill {
+
+std::string mirror_name(const std::string& name) {
+  std::string result = name;
+  if (const auto at = result.find("left"); at != std::string::npos) return result.replace(at, 4, "right");
+  if (const auto at = result.find("right"); at != std::string::npos) return result.replace(at, 5, "left");
+  if (result.ends_with("_l")) result.back() = 'r';
+  else if (result.ends_with("_r")) result.back() = 'l';
+  return result;
+}
+
+namespace {
+
+// -1 when absent.
+int node_named(const Rig& rig, const std::string& name) {
+  for (std::size_t i = 0; i < rig.nodes.size(); ++i)
+    if (rig.nodes[i].name == name) return static_cast<int>(i);
+  return -1;
+}
+
+void add_joints(const QuadrupedSpec& spec, Rig& rig, std::vector<dvec3>& at) {
+  const auto add = [&](const std::string& name, const std::string& parent, const dvec3& place) {
+    if (node_named(rig, name) >= 0) input_error("{}: the joint '{}' occurs twice in [[builder.joints]]; rename one", spec.source, name);
+    Node node;
+    node.name = name;
+    node.parent = parent.empty() ? -1 : node_named(rig, parent);
+    if (!parent.empty() && node.parent < 0)
+      input_error("{}: the parent '{}' of joint '{}' is not listed before it in [[builder.joints]]", spec.source, parent, name);
+    if (parent.empty() && !rig.nodes.empty()) input_error("{}: joint '{}' needs a parent; only the first is the root", spec.source, name);
+    node.translation = node.parent >= 0 ? place - at[node.parent] : place;
+    Bone bone;
+    bone.node = static_cast<int>(rig.nodes.size());
+    bone.inverse_bind[3] = dvec4(-place, 1.0);  // all joints are turned as the model is in the neutral pose
+    rig.nodes.push_back(std::move(node));
+    rig.bones.push_back(bone);
+    at.push_back(place);
+  };
+  for (const QuadrupedJoint& j : spec.joints) {
+    add(j.name, j.parent, j.at);
+    if (j.mirror) add(mirror_name(j.name), mirror_name(j.parent), {j.at.x, -j.at.y, j.at.z});
+  }
+}
+
+// Skin weights of the half mesh, dense: those of the solids, then evened out along the surface, so that they are
+// smooth where solids meet and never jump between parts that are near only through the air.
+std::vector<double> skin_weights(const HalfMesh& mesh, const Field& field, const std::vector<int>& twin, double edge) {
+  const std::size_t n = mesh.positions.size(), joints = twin.size();
+  std::vector<double> weights(n * joints), next(n * joints);
+  parallel_for(n, 64, [&](std::size_t i) {
+    const Influencing f = field.influences(mesh.positions[i]);
+    std::copy(f.joint_weights.begin(), f.joint_weights.end(), weights.begin() + static_cast<std::ptrdiff_t>(i * joints));
+  });
+  std::vector<std::vector<std::uint32_t>> near(n);
+  for (const uvec3& t : mesh.triangles)
+    for (int k = 0; k < 3; ++k) {
+      near[t[k]].push_back(t[(k + 1) % 3]);
+      near[t[k]].push_back(t[(k + 2) % 3]);
+    }
+  for (auto& list : near) {
+    std::sort(list.begin(), list.end());
+    list.erase(std::unique(list.begin(), list.end()), list.end());
+  }
+  // Each round spreads by about half an edge; together about 25 mm whatever the edge length.
+  const int rounds = std::clamp(static_cast<int>(std::lround(4 * std::pow(0.025 / edge, 2))), 2, 40);
+  for (int round = 0; round < rounds; ++round) {
+    parallel_for(n, 64, [&](std::size_t i) {
+      double* to = &next[i * joints];
+      std::fill(to, to + joints, 0.0);
+      double total = 0;
+      for (const std::uint32_t v : near[i]) {
+        const double* from = &weights[v * joints];
+        const bool reflect = mesh.on_midplane[i] && !mesh.on_midplane[v];  // its mirror image is a neighbour too
+        for (std::size_t j = 0; j < joints; ++j) to[j] += reflect ? from[j] + from[twin[j]] : from[j];
+        total += reflect ? 2 : 1;
+      }
+      const double* own = &weights[i * joints];
+      for (std::size_t j = 0; j < joints; ++j) to[j] = 0.5 * own[j] + 0.5 * to[j] / total;
+      if (mesh.on_midplane[i])
+        for (std::size_t j = 0; j < joints; ++j)
+          if (static_cast<std::size_t>(twin[j]) > j) to[j] = to[twin[j]] = 0.5 * (to[j] + to[twin[j]]);
+    });
+    weights.swap(next);
+  }
+  return weights;
+}
+
+// The four strongest, normalised. On the midplane a left and a right twin stay or go together.
+std::vector<Influence> strongest(const double* weights, const std::vector<int>& twin, bool on_midplane) {
+  std::vector<int> order;
+  for (std::size_t j = 0; j < twin.size(); ++j)
+    if (weights[j] > 0.01) order.push_back(static_cast<int>(j));
+  std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return weights[a] > weights[b]; });
+  if (order.size() > 4) {
+    const bool torn = on_midplane && twin[order[3]] == order[4];
+    order.resize(torn ? 3 : 4);
+  }
+  double total = 0;
+  for (const int j : order) total += weights[j];
+  std::vector<Influence> result;
+  for (const int j : order) result.push_back({static_cast<std::uint32_t>(j), static_cast<float>(weights[j] / total)});
+  return result;
+}
+
+void check_one_body(const QuadrupedSpec& spec, const HalfMesh& mesh) {
+  std::vector<std::uint32_t> root(mesh.positions.size());
+  std::iota(root.begin(), root.end(), 0u);
+  const auto find = [&](std::uint32_t v) {
+    while (root[v] != v) v = root[v] = root[root[v]];
+    return v;
+  };
+  for (const uvec3& t : mesh.triangles)
+    for (int k = 0; k < 2; ++k) {
+      const std::uint32_t a = find(t[k]), b = find(t[k + 1]);
+      root[std::max(a, b)] = std::min(a, b);
+    }
+  for (std::uint32_t v = 0; v < root.size(); ++v)
+    if (find(v) != find(0)) {
+      const dvec3& p = mesh.positions[v];
+      input_error("{}: the solids form more than one body, one of them near ({:.2f}, {:.2f}, {:.2f}); let them overlap", spec.source, p.x, p.y, p.z);
+    }
+}
+
+}  // namespace
+
+Rig build_quadruped(const QuadrupedSpec& spec) {
+  Rig rig;
+  rig.source = spec.source;
+  std::vector<dvec3> joint_at;
+  add_joints(spec, rig, joint_at);
+  std::vector<std::string> names;
+  for (const Node& node : rig.nodes) names.push_back(node.name);
+  std::vector<int> twin;
+  for (std::size_t j = 0; j < names.size(); ++j) {
+    const int other = node_named(rig, mirror_name(names[j]));
+    twin.push_back(other >= 0 ? other : static_cast<int>(j));
+  }
+
+  const Field field = build_field(spec, names, rig.part_names);
+  HalfMesh half = polygonise(field, spec.grid);
+  remesh(half, field, spec.target_edge, 6);
+  check_one_body(spec, half);
+  const std::vector<double> weights = skin_weights(half, field, twin, spec.target_edge);
+
+  const std::size_t half_vertices = half.positions.size(), half_triangles = half.triangles.size();
+  std::vector<vec3> normals(half_vertices);
+  parallel_for(half_vertices, 64, [&](std::size_t i) {
+    dvec3 g = field.gradient(half.positions[i]);
+    if (half.on_midplane[i]) g.y = 0;
+    normals[i] = vec3(glm::normalize(g));
+  });
+  std::vector<std::uint16_t> parts(half_triangles);
+  parallel_for(half_triangles, 64, [&](std::size_t t) {
+    const uvec3& v = half.triangles[t];
+    parts[t] = static_cast<std::uint16_t>(field.influences((half.positions[v.x] + half.positions[v.y] + half.positions[v.z]) / 3.0).part);
+  });
+  std::vector<std::uint16_t> part_twin;
+  for (std::size_t i = 0; i < rig.part_names.size(); ++i) {
+    const auto found = std::find(rig.part_names.begin(), rig.part_names.end(), mirror_name(rig.part_names[i]));
+    part_twin.push_back(static_cast<std::uint16_t>(found != rig.part_names.end() ? found - rig.part_names.begin() : i));
+  }
+
+  std::vector<Chart> charts = cut_charts(half.positions, half.triangles);
+  const std::size_t left_charts = charts.size();
+  for (std::size_t c = 0; c < left_charts; ++c) {
+    charts.push_back(charts[c]);
+    for (dvec2& p : charts.back().flat) p.x = -p.x;
+  }
+  pack_charts(charts, spec.gutter);
+
+  // Vertices chart by chart: a vertex on a seam occurs once in every chart that touches it.
+  Surface& s = rig.surface;
+  for (std::size_t c = 0; c < charts.size(); ++c) {
+    const Chart& chart = charts[c];
+    const bool right = c >= left_charts;
+    const std::uint32_t first = static_cast<std::uint32_t>(s.rest.size());
+    for (std::size_t k = 0; k < chart.vertices.size(); ++k) {
+      const std::uint32_t v = chart.vertices[k];
+      const vec3 flip(1, right ? -1 : 1, 1);
+      s.rest.push_back(vec3(half.positions[v]) * flip);
+      if (half.on_midplane[v]) s.rest.back().y = 0;  // not minus zero: both sides weld bit for bit
+      s.normals.push_back(normals[v] * flip);
+      s.uvs.emplace_back(static_cast<float>(chart.flat[k].x), static_cast<float>(1 - chart.flat[k].y));  // (0, 0) is top left
+      rig.influence_begin.push_back(static_cast<std::uint32_t>(rig.influences.size()));
+      for (Influence i : strongest(&weights[v * names.size()], twin, half.on_midplane[v])) {
+        if (right) i.bone = static_cast<std::uint32_t>(twin[i.bone]);
+        rig.influences.push_back(i);
+      }
+    }
+    for (const std::uint32_t t : chart.triangles) {
+      uvec3 local;
+      for (int k = 0; k < 3; ++k)
+        local[k] = first + static_cast<std::uint32_t>(std::lower_bound(chart.vertices.begin(), chart.vertices.end(), half.triangles[t][k]) - chart.vertices.begin());
+      if (right) std::swap(local.y, local.z);
+      s.triangles.push_back(local);
+      s.parts.push_back(right ? part_twin[parts[t]] : parts[t]);
+      s.materials.push_back(0);
+    }
+  }
+  rig.influence_begin.push_back(static_cast<std::uint32_t>(rig.influences.size()));
+
+  MeshPart mesh;
+  mesh.name = "body";
+  mesh.vertex_count = static_cast<std::uint32_t>(s.rest.size());
+  mesh.triangle_count = static_cast<std::uint32_t>(s.triangles.size());
+  mesh.skinned = true;
+  rig.meshes.push_back(mesh);
+  RigMaterial material;
+  material.name = "skin";
+  rig.materials.push_back(material);
+  rig.clips = build_clips(spec, rig);
+  return rig;
+}
+
+}  // namespace moomill

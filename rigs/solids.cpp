@@ -1,0 +1,309 @@
+#include "rigs/solids.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "generator/core/error.h"
+
+namespace moomill {
+namespace {
+
+constexpr int points_per_section = 5;
+
+// Slopes for cubic Hermite interpolation over uneven knots; `monotone` keeps radii from overshooting (the limiter of
+// Fritsch and Carlson, 1980).
+double slope(double h0, double h1, double d0, double d1, bool monotone) {
+  const double m = (d0 * h1 + d1 * h0) / (h0 + h1);
+  if (!monotone) return m;
+  if (d0 * d1 <= 0) return 0;
+  const double most = 3 * std::min(std::abs(d0), std::abs(d1));
+  return std::clamp(m, -most, most);
+}
+
+double hermite(const std::vector<double>& knots, const std::vector<double>& values, std::size_t i, double f, bool monotone) {
+  const std::size_t n = values.size();
+  const double h = knots[i + 1] - knots[i];
+  const auto delta = [&](std::size_t k) { return (values[k + 1] - values[k]) / (knots[k + 1] - knots[k]); };
+  const double d = delta(i);
+  const double m0 = i > 0 ? slope(knots[i] - knots[i - 1], h, delta(i - 1), d, monotone) : d;
+  const double m1 = i + 2 < n ? slope(h, knots[i + 2] - knots[i + 1], d, delta(i + 1), monotone) : d;
+  const double f2 = f * f, f3 = f2 * f;
+  return (2 * f3 - 3 * f2 + 1) * values[i] + (f3 - 2 * f2 + f) * h * m0 + (3 * f2 - 2 * f3) * values[i + 1] + (f3 - f2) * h * m1;
+}
+
+void add_points(Shape& shape, const Solid& solid) {
+  const auto& sections = solid.sections;
+  const std::size_t n = sections.size();
+  std::vector<double> knots(n, 0.0);
+  for (std::size_t i = 1; i < n; ++i) knots[i] = knots[i - 1] + glm::length(sections[i].at - sections[i - 1].at);
+  const auto column = [&](auto get) {
+    std::vector<double> values(n);
+    for (std::size_t i = 0; i < n; ++i) values[i] = get(sections[i]);
+    return values;
+  };
+  const std::vector<double> x = column([](auto& s) { return s.at.x; }), y = column([](auto& s) { return s.at.y; }),
+                            z = column([](auto& s) { return s.at.z; }), side = column([](auto& s) { return s.side; }),
+                            up = column([](auto& s) { return s.up; }), down = column([](auto& s) { return s.down; }),
+                            power = column([](auto& s) { return s.power; });
+  const std::size_t count = n == 1 ? 1 : (n - 1) * points_per_section + 1;
+  for (std::size_t k = 0; k < count; ++k) {
+    Shape::Point p{};
+    if (n == 1) {
+      p.at = sections[0].at;
+      p.side = side[0], p.up = up[0], p.down = down[0], p.power = power[0];
+    } else {
+      const std::size_t i = std::min(k / points_per_section, n - 2);
+      const double f = static_cast<double>(k - i * points_per_section) / points_per_section;
+      const auto at = [&](const std::vector<double>& v, bool monotone) { return hermite(knots, v, i, f, monotone); };
+      p.at = {at(x, false), at(y, false), at(z, false)};
+      p.side = at(side, true), p.up = at(up, true), p.down = at(down, true), p.power = at(power, true);
+    }
+    shape.points.push_back(p);
+  }
+  // Frames: the axis by central differences, `up` made square to it. One section: its axis is chosen so that `side`
+  // is across the animal and the caps reach along the remaining direction.
+  for (std::size_t k = 0; k < count; ++k) {
+    dvec3 axis = count == 1 ? glm::cross(dvec3(0, 1, 0), solid.up)
+                            : shape.points[std::min(k + 1, count - 1)].at - shape.points[k > 0 ? k - 1 : 0].at;
+    if (glm::length(axis) < 1e-9) axis = {1, 0, 0};
+    axis = glm::normalize(axis);
+    shape.points[k].side_axis = glm::normalize(glm::cross(solid.up, axis));
+    shape.points[k].up_axis = glm::cross(axis, shape.points[k].side_axis);
+    if (k == 0) shape.start_axis = -axis;
+    if (k + 1 == count) shape.end_axis = axis;
+  }
+  for (const auto& p : shape.points) {
+    const double reach = std::max({p.side, p.up, p.down, shape.cap_start, shape.cap_end}) * (p.power > 2 ? 1.42 : 1.0);
+    shape.box.add(p.at - reach);
+    shape.box.add(p.at + reach);
+  }
+}
+
+Solid mirrored(Solid solid) {
+  solid.up.y = -solid.up.y;
+  for (SolidSection& s : solid.sections) {
+    s.at.y = -s.at.y;
+    s.joint = mirror_name(s.joint);
+    s.part = mirror_name(s.part);
+  }
+  return solid;
+}
+
+double box_distance(const Box& box, const dvec3& lower, const dvec3& upper) {
+  return glm::length(glm::max(dvec3(0.0), glm::max(box.lower - upper, lower - box.upper)));
+}
+
+}  // namespace
+
+ShapeSample sample_shape(const Shape& shape, const dvec3& p) {
+  // The nearest point of the axis first, then the cross-section there: one superellipse per query.
+  const auto& points = shape.points;
+  std::size_t best = 0;
+  double best_t = 0, best_d2 = std::numeric_limits<double>::infinity();
+  for (std::size_t k = 0; k + 1 < points.size(); ++k) {
+    const dvec3 ab = points[k + 1].at - points[k].at, ap = p - points[k].at;
+    const double t = std::clamp(glm::dot(ap, ab) / glm::dot(ab, ab), 0.0, 1.0);
+    const dvec3 q = ap - t * ab;
+    const double d2 = glm::dot(q, q);
+    if (d2 < best_d2) best = k, best_t = t, best_d2 = d2;
+  }
+  const Shape::Point& a = points[best];
+  const Shape::Point& b = points.size() > 1 ? points[best + 1] : a;
+  const auto mix = [&](const auto& u, const auto& v) { return u + (v - u) * best_t; };
+  const dvec3 q = p - mix(a.at, b.at);
+  const double s = glm::dot(q, mix(a.side_axis, b.side_axis)), u = glm::dot(q, mix(a.up_axis, b.up_axis));
+  const double rs = mix(a.side, b.side), ru = u >= 0 ? mix(a.up, b.up) : mix(a.down, b.down);
+  double w = 0, rw = 1;
+  if (best == 0 && best_t == 0 && glm::dot(q, shape.start_axis) > 0) w = glm::dot(q, shape.start_axis), rw = shape.cap_start;
+  if (best + 2 >= points.size() && (best_t == 1 || points.size() == 1) && glm::dot(q, shape.end_axis) > 0)
+    w = glm::dot(q, shape.end_axis), rw = shape.cap_end;
+  ShapeSample result;
+  result.along = (static_cast<double>(best) + best_t) / points_per_section;
+  // Distance to first order: (g - 1) / |grad g| for the homogeneous g that is 1 on the surface.
+  const double n = mix(a.power, b.power);
+  const double as = std::abs(s) / rs, au = std::abs(u) / ru, aw = std::abs(w) / rw;
+  double g, slope;
+  if (n < 2.001) {
+    g = std::sqrt(as * as + au * au + aw * aw);
+    const double gs = as / rs, gu = au / ru, gw = aw / rw;
+    slope = std::sqrt(gs * gs + gu * gu + gw * gw) / std::max(g, 1e-9);
+  } else {
+    const double ps = std::pow(as, n - 1), pu = std::pow(au, n - 1), pw = std::pow(aw, n - 1);
+    const double sum = ps * as + pu * au + pw * aw;
+    g = std::pow(sum, 1 / n);
+    const double gs = ps / rs, gu = pu / ru, gw = pw / rw;
+    slope = std::sqrt(gs * gs + gu * gu + gw * gw) * (sum > 1e-12 ? g / sum : 0.0);
+  }
+  // Near the axis the slope has no meaning; the smallest radius is as far as the surface can be.
+  const double least = std::min(rs, ru);
+  result.distance = g < 0.05 ? (g - 1) * least : std::max((g - 1) / slope, -least);
+  return result;
+}
+
+const std::vector<std::uint16_t>& Field::near_shapes(const dvec3& p) const {
+  const dvec3 q = (p - box.lower) / cell;
+  const int x = std::clamp(static_cast<int>(q.x), 0, nx - 1), y = std::clamp(static_cast<int>(q.y), 0, ny - 1),
+            z = std::clamp(static_cast<int>(q.z), 0, nz - 1);
+  return near[(static_cast<std::size_t>(z) * ny + y) * nx + x];
+}
+
+FieldSample Field::sample(const dvec3& p) const {
+  FieldSample f{1.0, 1.0};
+  for (const std::uint16_t i : near_shapes(p)) {
+    const Shape& shape = shapes[i];
+    if (shape.kind == Solid::Kind::paint) continue;
+    // Too far to change anything: saves most of the work.
+    const dvec3 away = glm::max(dvec3(0.0), glm::max(shape.box.lower - p, p - shape.box.upper));
+    const double limit = shape.kind == Solid::Kind::add ? std::max(f.distance, 0.0) + shape.blend : shape.blend + 0.03;
+    if (glm::dot(away, away) > limit * limit) continue;
+    const double d = sample_shape(shape, p).distance;
+    // Polynomial smooth union (Quilez); carving is the smooth intersection with the outside.
+    if (shape.kind == Solid::Kind::carve) {
+      const double h = std::max(shape.blend - std::abs(f.distance + d), 0.0) / shape.blend;
+      f.distance = std::max(f.distance, -d) + h * h * shape.blend / 4;
+      if (-d > f.distance - 0.01) f.detail = std::min(f.detail, shape.detail);
+      continue;
+    }
+    const double h = std::max(shape.blend - std::abs(f.distance - d), 0.0) / shape.blend;
+    const double m = 0.5 * h * h;
+    const bool nearer = d < f.distance;
+    f.distance = std::min(f.distance, d) - m * shape.blend / 2;
+    f.detail += (shape.detail - f.detail) * (nearer ? 1 - m : m);
+  }
+  return f;
+}
+
+dvec3 Field::gradient(const dvec3& p) const {
+  // Four samples at the corners of a tetrahedron instead of six.
+  constexpr double e = 2e-4;
+  const dvec3 a(1, -1, -1), b(-1, -1, 1), c(-1, 1, -1), d(1, 1, 1);
+  return (a * distance(p + e * a) + b * distance(p + e * b) + c * distance(p + e * c) + d * distance(p + e * d)) / (4 * e);
+}
+
+dvec3 Field::project(const dvec3& start, int steps, bool on_midplane) const {
+  dvec3 p = start;
+  for (int i = 0; i < steps; ++i) {
+    const double d = distance(p);
+    if (std::abs(d) < 1e-6) break;
+    dvec3 g = gradient(p);
+    if (on_midplane) g.y = 0;
+    const double g2 = glm::dot(g, g);
+    if (g2 < 1e-6) break;
+    const dvec3 step = -g * (d / std::max(g2, 0.25));
+    const double length = glm::length(step);
+    p += step * (length > 0.02 ? 0.02 / length : 1.0);
+  }
+  if (on_midplane) p.y = 0;
+  return p;
+}
+
+Influencing Field::influences(const dvec3& p) const {
+  Influencing result;
+  result.joint_weights.assign(joint_count, 0.0);
+  struct Entry {
+    const Shape* shape;
+    ShapeSample sample;
+  };
+  std::vector<Entry> entries;
+  double least = std::numeric_limits<double>::infinity();
+  int painted = -1;
+  const auto section_at = [](const Shape& shape, double along) {
+    return std::min(static_cast<std::size_t>(along), shape.joints.size() - 1);
+  };
+  for (const std::uint16_t i : near_shapes(p)) {
+    const Shape& shape = shapes[i];
+    if (shape.kind == Solid::Kind::carve) continue;
+    const ShapeSample s = sample_shape(shape, p);
+    if (shape.kind == Solid::Kind::paint) {
+      if (s.distance < 0) painted = shape.parts[section_at(shape, s.along)];
+      continue;
+    }
+    if (s.distance < least) least = s.distance, result.part = shape.parts[section_at(shape, s.along)];
+    entries.push_back({&shape, s});
+  }
+  if (painted >= 0) result.part = painted;
+  double total = 0;
+  for (const auto& [shape, s] : entries) {
+    const double width = std::max(0.01, 0.4 * shape->blend);
+    const double w = std::exp(-(s.distance - least) / width);
+    if (w < 1e-4) continue;
+    const std::size_t i = section_at(*shape, s.along);
+    const double f = s.along - static_cast<double>(i);
+    const double second = i + 1 < shape->joints.size() ? f * f * (3 - 2 * f) : 0.0;
+    result.joint_weights[shape->joints[i]] += w * (1 - second);
+    if (second > 0) result.joint_weights[shape->joints[i + 1]] += w * second;
+    total += w;
+  }
+  for (double& w : result.joint_weights) w /= total;
+  return result;
+}
+
+Field build_field(const QuadrupedSpec& spec, const std::vector<std::string>& joint_names,
+                  std::vector<std::string>& part_names) {
+  Field field;
+  field.joint_count = static_cast<int>(joint_names.size());
+  const auto part_index = [&](const std::string& name) {
+    const auto found = std::find(part_names.begin(), part_names.end(), name);
+    if (found != part_names.end()) return static_cast<int>(found - part_names.begin());
+    part_names.push_back(name);
+    return static_cast<int>(part_names.size()) - 1;
+  };
+  const auto add = [&](const Solid& solid) {
+    Shape shape;
+    shape.kind = solid.kind;
+    shape.blend = solid.blend, shape.detail = solid.detail;
+    shape.cap_start = solid.cap_start, shape.cap_end = solid.cap_end;
+    std::string joint, part;
+    for (const SolidSection& s : solid.sections) {
+      if (!s.joint.empty()) joint = s.joint;
+      if (!s.part.empty()) part = s.part;
+      const auto found = std::find(joint_names.begin(), joint_names.end(), joint);
+      if (found == joint_names.end() && solid.kind == Solid::Kind::add)
+        input_error("{}: solid '{}' names the joint '{}', which is not in [[builder.joints]]", spec.source, solid.name, joint);
+      if (part.empty() && solid.kind != Solid::Kind::carve)
+        input_error("{}: solid '{}' has no part; give its first section one", spec.source, solid.name);
+      shape.joints.push_back(found == joint_names.end() ? 0 : static_cast<int>(found - joint_names.begin()));
+      shape.parts.push_back(part.empty() ? 0 : part_index(part));
+    }
+    add_points(shape, solid);
+    if (solid.kind == Solid::Kind::add) {
+      field.box.add(shape.box.lower);
+      field.box.add(shape.box.upper);
+    }
+    field.shapes.push_back(std::move(shape));
+  };
+  for (const Solid& solid : spec.solids) {
+    if (solid.sections.empty()) input_error("{}: solid '{}' has no sections", spec.source, solid.name);
+    add(solid);
+    if (solid.mirror) add(mirrored(solid));
+  }
+  if (field.box.empty()) input_error("{}: [[builder.solids]] is empty; add at least one solid", spec.source);
+
+  field.box.lower -= 0.05;
+  field.box.upper += 0.05;
+  // A shape matters as far as its own fillet reaches, or that of a later shape that may join it.
+  std::vector<double> reach;
+  for (std::size_t i = 0; i < field.shapes.size(); ++i) {
+    double most = field.shapes[i].blend;
+    for (std::size_t j = i + 1; j < field.shapes.size(); ++j) {
+      const Shape& later = field.shapes[j];
+      if (box_distance(field.shapes[i].box, later.box.lower, later.box.upper) < 2 * later.blend) most = std::max(most, later.blend);
+    }
+    reach.push_back(most + 0.03);
+  }
+  const dvec3 size = field.box.size() / field.cell;
+  field.nx = static_cast<int>(size.x) + 1, field.ny = static_cast<int>(size.y) + 1, field.nz = static_cast<int>(size.z) + 1;
+  field.near.resize(static_cast<std::size_t>(field.nx) * field.ny * field.nz);
+  for (int z = 0; z < field.nz; ++z)
+    for (int y = 0; y < field.ny; ++y)
+      for (int x = 0; x < field.nx; ++x) {
+        const dvec3 lower = field.box.lower + field.cell * dvec3(x, y, z), upper = lower + field.cell;
+        auto& list = field.near[(static_cast<std::size_t>(z) * field.ny + y) * field.nx + x];
+        for (std::size_t i = 0; i < field.shapes.size(); ++i)
+          if (box_distance(field.shapes[i].box, lower, upper) < reach[i])
+            list.push_back(static_cast<std::uint16_t>(i));
+      }
+  return field;
+}
+
+}  // namespace moomill

@@ -1,0 +1,220 @@
+// `moomill plan`: what generate() would do for a scene, and what it would cost.
+#include <set>
+
+#include "generator/core/error.h"
+#include "generator/core/parallel.h"
+#include "scenes/generate.h"
+#include "scenes/species_summary.h"
+
+namespace moomill {
+namespace {
+
+// Bytes of a file per pixel of the picture, measured on views of the shipped cow at 1024 x 768 (it covers about a
+// seventh of the picture; files of background are small). See scenes/README.md for how.
+double bytes_per_pixel(Modality m) {
+  switch (m) {
+    case Modality::rgb:
+      return 0.30;
+    case Modality::silhouette:
+      return 0.006;
+    case Modality::coverage:
+      return 0.012;
+    case Modality::depth:
+      return 0.35;
+    case Modality::nnopcs:
+      return 1.3;  // with the 8-bit file beside it
+    case Modality::normal:
+      return 1.3;
+    case Modality::uv:
+      return 0.9;
+    case Modality::part:
+      return 0.012;
+    case Modality::instance:
+      return 0.006;
+    case Modality::triangle:
+      return 1.3;
+    case Modality::occlusion:
+      return 0.006;
+    case Modality::keypoints:
+    case Modality::count:
+      return 0;
+  }
+  return 0;
+}
+
+// Seconds of one core, measured on the same views.
+constexpr double core_seconds_per_sample = 1.1e-7;     // one path sample of one pixel of the whole picture, first coat
+constexpr double share_per_further_coat = 0.02;        // of the above
+constexpr double core_seconds_per_label_pixel = 4e-7;  // first hit and the maps made of it
+constexpr double core_seconds_per_frame = 0.15;        // pose, skinning, hierarchy
+constexpr double core_seconds_to_start = 6;            // rig, NNOPCS, coats
+double encoder_seconds_per_pixel(Modality m) {
+  switch (row(m).storage) {
+    case Storage::jpeg8:
+      return 2.5e-8;
+    case Storage::png8:
+    case Storage::png16:
+      return 2.0e-8;
+    case Storage::exr32:
+    case Storage::exr_ids:
+      return 6e-8 * row(m).channels;
+    case Storage::record:
+      return 0;
+  }
+  return 0;
+}
+
+struct Stage {
+  std::string name;
+  bool runs = false;
+  std::string why;  // it runs, or is left out
+};
+
+struct Counts {
+  std::size_t frames = 0, cameras = 0, coats = 0, animals = 0;
+  double pixels = 0;  // per picture
+  std::size_t views() const { return frames * cameras * coats; }
+  std::size_t pictures() const { return frames * cameras; }
+};
+
+std::size_t files_of(const Counts& n, Modality m) {
+  const ModalityRow& r = row(m);
+  if (r.storage == Storage::record) return 0;
+  std::size_t files = n.pictures() * (r.per_coat ? n.coats : 1);
+  if (m == Modality::nnopcs) files *= 2;             // float32, and 8 bits beside it
+  if (m == Modality::occlusion) files *= n.animals;  // a whole mask each
+  return files;
+}
+
+std::string names_of(const ModalitySet& set, bool ModalityRow::*need) {
+  std::string out;
+  for (const ModalityRow& r : modality_table())
+    if (set.has(r.id) && r.*need) out += (out.empty() ? "" : ", ") + std::string(r.name);
+  return out;
+}
+
+std::vector<Stage> stages_of(const SceneSpec& scene, const Counts& n, const SpeciesSummary& species) {
+  const ModalitySet& m = scene.modalities;
+  const std::string light = names_of(m, &ModalityRow::needs_light), hits = names_of(m, &ModalityRow::needs_first_hit),
+                    uv = names_of(m, &ModalityRow::needs_uv);
+  const bool keypoints = m.has(Modality::keypoints), occlusion = m.has(Modality::occlusion);
+  const bool coverage = m.has(Modality::coverage), nnopcs = m.has(Modality::nnopcs);
+  const bool traced = !light.empty() || !hits.empty() || keypoints || coverage;
+  const std::string no_light = "no chosen modality needs light (rgb does)";
+  std::vector<Stage> stages;
+  auto add = [&](const char* name, bool runs, const std::string& why, const std::string& why_not) {
+    stages.push_back({name, runs, runs ? why : why_not});
+  };
+  add("rig", true, (species.built ? "built from " : "read from ") + scene.animals[0].species, "");
+  add("poses", true, fmt::format("{} frames", n.frames), "");
+  add("skinning", traced, "once per pose, shared by all cameras and coats", "nothing is traced");
+  add("NNOPCS", nnopcs, "baked once on the neutral pose", "nnopcs is not among the modalities");
+  add("UVs", !uv.empty(), "for " + uv, "no chosen modality needs them (rgb and uv do)");
+  add("coats", !light.empty(), fmt::format("{} of {}, traced in one go", n.coats, scene.animals[0].coats.size()),
+      no_light);
+  add("lights", !light.empty(),
+      fmt::format("{}, {} suns, {} rectangles",
+                  scene.light.environment_file ? "environment map" : "constant environment", scene.light.suns.size(),
+                  scene.light.rectangles.size()),
+      no_light);
+  add("Embree hierarchy", traced, "once per pose", "nothing is traced");
+  add("first hits", !hits.empty(), "for " + hits, "no chosen modality needs the pixel-centre rays");
+  add("path tracing", !light.empty(),
+      fmt::format("{} samples per pixel, up to {} bounces", scene.render.samples, scene.render.max_bounces), no_light);
+  add("coverage", coverage, "antialiased share of every pixel", "coverage is not among the modalities");
+  add("keypoints", keypoints,
+      species.keypoints ? fmt::format("{} of {}", species.keypoints, species.name)
+                        : fmt::format("{} names none, so only joints are recorded", species.name),
+      "keypoints is not among the modalities");
+  add("occlusion", occlusion, fmt::format("whole masks of {} animals", n.animals),
+      "occlusion is not among the modalities");
+  std::size_t files = 0;
+  for (const ModalityRow& r : modality_table())
+    if (m.has(r.id)) files += files_of(n, r.id);
+  add("encoders", files > 0, fmt::format("{} files", files), "all that is asked for goes into the frame records");
+  return stages;
+}
+
+std::string human_bytes(double bytes) {
+  const char* units[] = {"B", "kB", "MB", "GB", "TB", "PB"};
+  int u = 0;
+  while (bytes >= 1000 && u < 5) bytes /= 1000, ++u;
+  return fmt::format("{:.{}f} {}", bytes, bytes < 10 && u > 0 ? 1 : 0, units[u]);
+}
+
+std::string human_time(double seconds) {
+  if (seconds < 60) return fmt::format("{:.0f} s", std::max(1.0, seconds));
+  if (seconds < 3600) return fmt::format("{:.0f} min", seconds / 60);
+  if (seconds < 48 * 3600) return fmt::format("{:.1f} h", seconds / 3600);
+  return fmt::format("{:.1f} days", seconds / 86400);
+}
+
+}  // namespace
+
+PlanReport plan(const SceneSpec& scene) {
+  check(!scene.animals.empty() && !scene.frames.empty(), "a scene without animals or frames");
+  const std::filesystem::path folder = std::filesystem::path(scene.file).parent_path();
+  const SpeciesSummary species = summarize_species(scene.animals[0].species, folder);
+  Counts n;
+  n.frames = scene.frames.size();
+  n.cameras = cameras_of_frame(scene, scene.frames[0]).size();
+  n.coats = scene.coat_indices.size();
+  n.animals = scene.animals.size();
+  n.pixels = static_cast<double>(scene.cameras.width) * scene.cameras.height;
+
+  PlanReport report;
+  Json& json = report.json;
+  json["frames"] = n.frames;
+  json["cameras"] = n.cameras;
+  json["coats"] = n.coats;
+  json["views"] = n.views();
+  json["resolution"] = {scene.cameras.width, scene.cameras.height};
+  std::string& text = report.text;
+  text += fmt::format("{}: {} frames x {} cameras x {} coats = {} views of {} x {}\n\n", scene.file, n.frames,
+                      n.cameras, n.coats, n.views(), scene.cameras.width, scene.cameras.height);
+
+  text += fmt::format("{:<18}{:<10}\n", "stage", "");
+  json["stages"] = Json::array();
+  for (const Stage& s : stages_of(scene, n, species)) {
+    text += fmt::format("{:<18}{:<10} {}\n", s.name, s.runs ? "runs" : "left out:", s.why);
+    json["stages"].push_back({{"name", s.name}, {"runs", s.runs}, {"why", s.why}});
+  }
+
+  text += fmt::format("\n{:<18}{:>10}  {:>9}\n", "modality", "files", "disk");
+  double bytes = 0, core_seconds = core_seconds_to_start + core_seconds_per_frame * static_cast<double>(n.frames);
+  std::size_t files = 0;
+  json["modalities"] = Json::array();
+  for (const ModalityRow& r : modality_table()) {
+    if (!scene.modalities.has(r.id)) continue;
+    const std::size_t own_files = files_of(n, r.id);
+    // Of the two NNOPCS files the figure per pixel covers both.
+    const double images = static_cast<double>(r.id == Modality::nnopcs ? own_files / 2 : own_files);
+    const double own_bytes = images * n.pixels * bytes_per_pixel(r.id);
+    text += r.storage == Storage::record
+                ? fmt::format("{:<18}{:>10}  {:>9}\n", r.name, "records", "")
+                : fmt::format("{:<18}{:>10}  {:>9}\n", r.name, own_files, human_bytes(own_bytes));
+    json["modalities"].push_back({{"name", r.name}, {"files", own_files}, {"bytes", std::llround(own_bytes)}});
+    bytes += own_bytes;
+    files += own_files;
+    core_seconds += images * n.pixels * encoder_seconds_per_pixel(r.id);
+  }
+  const double pictures = static_cast<double>(n.pictures());
+  const double records = pictures * 40.0 * static_cast<double>(std::max<std::size_t>(1, species.keypoints)) * 2;
+  bytes += records;
+  if (scene.modalities.any(&ModalityRow::needs_first_hit))
+    core_seconds += pictures * n.pixels * core_seconds_per_label_pixel;
+  if (scene.modalities.any(&ModalityRow::needs_light))
+    core_seconds += pictures * n.pixels * scene.render.samples * core_seconds_per_sample *
+                    (1 + share_per_further_coat * static_cast<double>(n.coats - 1));
+  const int cores = hardware_threads();
+  const double seconds = core_seconds / cores;
+  text += fmt::format("\n{} files, about {} on disk; about {} on the {} cores of this machine.\n", files,
+                      human_bytes(bytes), human_time(seconds), cores);
+  json["files"] = files;
+  json["bytes"] = std::llround(bytes);
+  json["seconds"] = seconds;
+  json["cores"] = cores;
+  return report;
+}
+
+}  // namespace moomill

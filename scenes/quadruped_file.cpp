@@ -1,0 +1,144 @@
+#include "scenes/quadruped_file.h"
+
+namespace moomill {
+namespace {
+
+constexpr double far = 100;  // metres; no animal is larger
+
+SolidSection read_section(TomlReader r) {
+  SolidSection s;
+  s.at = r.vector3("at");
+  const std::vector<double> radii = r.numbers("radii");
+  if (radii.empty() || radii.size() > 3) r.fail("radii", "must be [all], [side, up] or [side, up, down], in metres");
+  for (const double v : radii)
+    if (!(v > 0 && v < far)) r.fail("radii", "must be greater than 0, in metres");
+  s.side = radii[0];
+  s.up = radii.size() > 1 ? radii[1] : radii[0];
+  s.down = radii.size() > 2 ? radii[2] : s.up;
+  s.power = r.number("power", 2, 2, 8);
+  s.joint = r.text("joint", "");
+  s.part = r.text("part", "");
+  r.finish();
+  return s;
+}
+
+Solid read_solid(TomlReader r) {
+  Solid s;
+  s.name = r.text("name");
+  const std::string kind = r.word("kind", "add", {"add", "carve", "paint"});
+  s.kind = kind == "carve" ? Solid::Kind::carve : kind == "paint" ? Solid::Kind::paint : Solid::Kind::add;
+  s.blend = r.number("blend_m", 0.03, 1e-4, 1);
+  s.detail = r.number("detail", 1, 0.05, 10);
+  s.up = r.vector3("up", s.up);
+  if (glm::length(s.up) < 1e-6) r.fail("up", "must not be zero");
+  s.up = glm::normalize(s.up);
+  s.mirror = r.boolean("mirror", false);
+  const std::string part = r.text("part", ""), joint = r.text("joint", "");
+  for (TomlReader& section : r.tables("sections")) s.sections.push_back(read_section(section));
+  if (s.sections.empty()) r.fail("sections", "is missing or empty; give at least one section");
+  if (s.sections[0].part.empty()) s.sections[0].part = part;
+  if (s.sections[0].joint.empty()) s.sections[0].joint = joint;
+  for (std::size_t i = 1; i < s.sections.size(); ++i)
+    if (glm::length(s.sections[i].at - s.sections[i - 1].at) < 1e-4) r.fail("sections", fmt::format("{} and {} are at the same place; move one", i - 1, i));
+  // Unless told, caps are as round as the ends are thick.
+  const auto cap = [&](const SolidSection& e) { return std::min(e.side, 0.5 * (e.up + e.down)); };
+  s.cap_start = r.number("cap_start_m", r.number("cap_m", cap(s.sections.front()), 1e-4, far), 1e-4, far);
+  s.cap_end = r.number("cap_end_m", r.number("cap_m", cap(s.sections.back()), 1e-4, far), 1e-4, far);
+  r.finish();
+  return s;
+}
+
+LegSpec read_leg(TomlReader r) {
+  LegSpec l;
+  l.blade = r.text("blade", "");
+  l.swing = r.text("swing");
+  l.bend = r.text("bend");
+  l.fold = r.text("fold");
+  l.pastern = r.text("pastern");
+  l.foot = r.text("foot");
+  l.couple = r.number("couple", 0, -4, 4);
+  l.mirror = r.boolean("mirror", true);
+  r.finish();
+  return l;
+}
+
+WaveSpec read_wave(TomlReader r) {
+  WaveSpec w;
+  w.joint = r.text("joint");
+  w.amplitude_deg = r.vector3("amplitude_deg", w.amplitude_deg);
+  w.offset_deg = r.vector3("offset_deg", w.offset_deg);
+  w.amplitude_m = r.vector3("amplitude_m", w.amplitude_m);
+  w.offset_m = r.vector3("offset_m", w.offset_m);
+  w.cycles = static_cast<int>(r.integer("cycles", 1, 1, 1000));
+  w.phase = r.number("phase", 0, -1, 1);
+  r.finish();
+  return w;
+}
+
+TrackSpec read_track(TomlReader r) {
+  TrackSpec t;
+  t.joint = r.text("joint");
+  t.times = r.numbers("times");
+  for (std::size_t i = 0; i < t.times.size(); ++i)
+    if (t.times[i] < 0 || t.times[i] > 1 || (i > 0 && t.times[i] <= t.times[i - 1]))
+      r.fail("times", "must ascend within [0, 1]; they are shares of the clip");
+  const std::vector<double> angles = r.numbers("rotation_deg");
+  if (angles.size() != 3 * t.times.size())
+    r.fail("rotation_deg", fmt::format("must hold three angles for each of the {} times, {} numbers, not {}", t.times.size(), 3 * t.times.size(), angles.size()));
+  for (std::size_t i = 0; i < angles.size(); i += 3) t.rotation_deg.emplace_back(angles[i], angles[i + 1], angles[i + 2]);
+  r.finish();
+  return t;
+}
+
+GaitSpec read_gait(TomlReader r) {
+  GaitSpec g;
+  g.stride = r.number("stride_m", g.stride, 0, far);
+  g.duty = r.number("duty", g.duty, 0.05, 0.95);
+  g.lift = r.number("lift_m", g.lift, 0, far);
+  g.fold_deg = r.number("fold_deg", g.fold_deg, 0, 150);
+  g.pastern_deg = r.number("pastern_deg", g.pastern_deg, -150, 150);
+  g.blade_deg = r.number("blade_deg", g.blade_deg, -90, 90);
+  g.phases = r.numbers("phases");
+  r.finish();
+  return g;
+}
+
+ClipSpec read_clip(TomlReader r) {
+  ClipSpec c;
+  c.name = r.text("name");
+  c.duration = r.number("duration_s", 1, 0.01, 3600);
+  c.keys = static_cast<int>(r.integer("keys", 24, 2, 100000));
+  for (TomlReader& wave : r.tables("waves")) c.waves.push_back(read_wave(wave));
+  for (TomlReader& track : r.tables("tracks")) c.tracks.push_back(read_track(track));
+  if (auto gait = r.table("gait")) c.gait = read_gait(*gait);
+  r.finish();
+  return c;
+}
+
+}  // namespace
+
+QuadrupedSpec read_quadruped(TomlReader r) {
+  QuadrupedSpec spec;
+  spec.source = r.file();
+  spec.target_edge = r.number("target_edge_m", spec.target_edge, 0.002, 1);
+  spec.grid = r.number("grid_m", spec.grid, 0.002, 1);
+  spec.gutter = r.number("gutter", spec.gutter, 0, 0.1);
+  for (TomlReader& j : r.tables("joints")) {
+    QuadrupedJoint joint;
+    joint.name = j.text("name");
+    joint.parent = j.text("parent", "");
+    joint.at = j.vector3("at");
+    joint.mirror = j.boolean("mirror", false);
+    if (joint.mirror && mirror_name(joint.name) == joint.name)
+      j.fail("mirror", "needs a name with 'left' in it or ending in '_l', so that its twin can have one too");
+    j.finish();
+    spec.joints.push_back(std::move(joint));
+  }
+  for (TomlReader& solid : r.tables("solids")) spec.solids.push_back(read_solid(solid));
+  for (TomlReader& leg : r.tables("legs")) spec.legs.push_back(read_leg(leg));
+  for (TomlReader& clip : r.tables("clips")) spec.clips.push_back(read_clip(clip));
+  r.finish();
+  return spec;
+}
+
+}  // namespace moomill

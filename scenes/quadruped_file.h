@@ -1,0 +1,11 @@
+#pragma once
+// The [builder] table of a species file: see rigs/cow/README.md for its keys.
+#include "rigs/quadruped.h"
+#include "scenes/toml.h"
+
+namespace moomill {
+
+// `reader` is at the [builder] table. Refuses unknown keys; does not build.
+QuadrupedSpec read_quadruped(TomlReader reader);
+
+}  // namespace moomill

@@ -1,0 +1,57 @@
+#include "scenes/generate.h"
+
+#include <doctest/doctest.h>
+
+#include "tests/scenes/temporary_file.h"
+
+using namespace moomill;
+using namespace moomill::test;
+
+namespace {
+
+PlanReport plan_of(const std::string& more) {
+  const TemporaryFile file("a.toml", more);
+  for (const char* name : {"rig.glb", "a.png", "b.png"}) std::ofstream(file.folder() / name) << "x";
+  return plan(read_scene(file.path));
+}
+
+const Json& stage(const PlanReport& report, const std::string& name) {
+  for (const Json& s : report.json["stages"])
+    if (s["name"] == name) return s;
+  throw std::runtime_error("no stage " + name);
+}
+
+}  // namespace
+
+TEST_CASE("a plan counts views and images of what runs") {
+  const PlanReport r = plan_of(
+      "modalities = [\"rgb\", \"depth\", \"nnopcs\", \"keypoints\"]\n[frames]\ncount = 5\n"
+      "[[animals]]\nspecies = \"rig.glb\"\ncoats = [\"own\", \"a.png\", \"b.png\"]\n");
+  CHECK(r.json["views"] == 5 * 24 * 3);
+  for (const Json& m : r.json["modalities"]) {
+    if (m["name"] == "rgb") CHECK(m["files"] == 5 * 24 * 3);
+    if (m["name"] == "depth") CHECK(m["files"] == 5 * 24);
+    if (m["name"] == "nnopcs") CHECK(m["files"] == 5 * 24 * 2);
+    if (m["name"] == "keypoints") CHECK(m["files"] == 0);
+  }
+  CHECK(r.json["modalities"].size() == 4);
+  CHECK(stage(r, "path tracing")["runs"] == true);
+  CHECK(r.json["bytes"] > 0);
+  CHECK(r.json["seconds"] > 0);
+  CHECK(contains(r.text, "5 frames x 24 cameras x 3 coats = 360 views of 1024 x 768"));
+}
+
+TEST_CASE("a plan names what is left out, and why") {
+  const PlanReport depth = plan_of("modalities = [\"depth\"]\n[[animals]]\nspecies = \"rig.glb\"\n");
+  for (const char* name : {"NNOPCS", "UVs", "coats", "lights", "path tracing", "keypoints", "occlusion", "coverage"}) {
+    CHECK(stage(depth, name)["runs"] == false);
+    CHECK_FALSE(stage(depth, name)["why"].get<std::string>().empty());
+  }
+  for (const char* name : {"rig", "poses", "skinning", "Embree hierarchy", "first hits", "encoders"})
+    CHECK(stage(depth, name)["runs"] == true);
+  CHECK(contains(depth.text, "path tracing      left out:  no chosen modality needs light"));
+  const PlanReport points = plan_of("modalities = [\"keypoints\"]\n[[animals]]\nspecies = \"rig.glb\"\n");
+  CHECK(stage(points, "encoders")["runs"] == false);
+  CHECK(stage(points, "first hits")["runs"] == false);
+  CHECK(stage(points, "keypoints")["runs"] == true);
+}
