@@ -120,7 +120,8 @@ std::vector<Stage> stages_of(const SceneSpec& scene, const Counts& n, const Spec
   add("Embree hierarchy", traced, "once per pose", "nothing is traced");
   add("first hits", !hits.empty(), "for " + hits, "no chosen modality needs the pixel-centre rays");
   add("path tracing", !light.empty(),
-      fmt::format("{} samples per pixel, up to {} bounces", scene.render.samples, scene.render.max_bounces), no_light);
+      fmt::format("{} samples per pixel, {}", scene.render.samples,
+                  scene.render.max_bounces > 0 ? fmt::format("at most {} bounces", scene.render.max_bounces) : "no cap on bounces"), no_light);
   add("coverage", coverage, "antialiased share of every pixel", "coverage is not among the modalities");
   add("keypoints", keypoints,
       species.keypoints ? fmt::format("{} of {}", species.keypoints, species.name)

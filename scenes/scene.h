@@ -123,7 +123,7 @@ struct GroundSpec {
 
 struct RenderSpec {
   int samples = 64;  // per pixel
-  int max_bounces = 6;
+  int max_bounces = 0;         // 0: no cap, unbiased (Russian roulette ends paths)
   double filter_radius = 1.5;  // pixels
   int coat_resolution = 2048;
 };

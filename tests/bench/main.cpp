@@ -1,3 +1,13 @@
 #include <benchmark/benchmark.h>
 
-BENCHMARK_MAIN();
+bool run_memory_child();      // tracing.cpp
+void remove_bench_scratch();  // tracing.cpp
+
+int main(int argc, char** argv) {
+  if (run_memory_child()) return 0;
+  benchmark::Initialize(&argc, argv);
+  if (benchmark::ReportUnrecognizedArguments(argc, argv)) return 2;
+  benchmark::RunSpecifiedBenchmarks();
+  remove_bench_scratch();
+  return 0;
+}
