@@ -54,6 +54,24 @@ void add_joints(const QuadrupedSpec& spec, Rig& rig, std::vector<dvec3>& at) {
   }
 }
 
+// Angle-weighted normals (Thuermer and Wuethrich 1998). Not the field's gradient: where solids meet it may jump.
+std::vector<vec3> vertex_normals(const HalfMesh& mesh) {
+  std::vector<dvec3> sum(mesh.positions.size(), dvec3(0));
+  for (const uvec3& t : mesh.triangles)
+    for (int k = 0; k < 3; ++k) {
+      const dvec3 p = mesh.positions[t[k]], a = mesh.positions[t[(k + 1) % 3]] - p, b = mesh.positions[t[(k + 2) % 3]] - p;
+      const dvec3 n = glm::cross(a, b);
+      const double length = glm::length(n);
+      if (length > 0) sum[t[k]] += n / length * std::atan2(length, glm::dot(a, b));
+    }
+  std::vector<vec3> normals(sum.size());
+  for (std::size_t i = 0; i < sum.size(); ++i) {
+    if (mesh.on_midplane[i]) sum[i].y = 0;  // the mirror image's triangles cancel it
+    normals[i] = vec3(glm::normalize(sum[i]));
+  }
+  return normals;
+}
+
 // Skin weights of the half mesh, dense: those of the solids, then evened out along the surface, so that they are
 // smooth where solids meet and never jump between parts that are near only through the air.
 std::vector<double> skin_weights(const HalfMesh& mesh, const Field& field, const std::vector<int>& twin, double edge) {
@@ -154,13 +172,8 @@ Rig build_quadruped(const QuadrupedSpec& spec) {
   check_one_body(spec, half);
   const std::vector<double> weights = skin_weights(half, field, twin, spec.target_edge);
 
-  const std::size_t half_vertices = half.positions.size(), half_triangles = half.triangles.size();
-  std::vector<vec3> normals(half_vertices);
-  parallel_for(half_vertices, 64, [&](std::size_t i) {
-    dvec3 g = field.gradient(half.positions[i]);
-    if (half.on_midplane[i]) g.y = 0;
-    normals[i] = vec3(glm::normalize(g));
-  });
+  const std::size_t half_triangles = half.triangles.size();
+  const std::vector<vec3> normals = vertex_normals(half);
   std::vector<std::uint16_t> parts(half_triangles);
   parallel_for(half_triangles, 64, [&](std::size_t t) {
     const uvec3& v = half.triangles[t];

@@ -154,7 +154,7 @@ FieldSample Field::sample(const dvec3& p) const {
     if (shape.kind == Solid::Kind::paint) continue;
     // Too far to change anything: saves most of the work.
     const dvec3 away = glm::max(dvec3(0.0), glm::max(shape.box.lower - p, p - shape.box.upper));
-    const double limit = shape.kind == Solid::Kind::add ? std::max(f.distance, 0.0) + shape.blend : shape.blend + 0.03;
+    const double limit = shape.kind == Solid::Kind::add ? std::max(f.distance, 0.0) + shape.blend + 0.03 : shape.blend + 0.06;
     if (glm::dot(away, away) > limit * limit) continue;
     const double d = sample_shape(shape, p).distance;
     // Polynomial smooth union (Quilez); carving is the smooth intersection with the outside.
@@ -175,7 +175,7 @@ FieldSample Field::sample(const dvec3& p) const {
 
 dvec3 Field::gradient(const dvec3& p) const {
   // Four samples at the corners of a tetrahedron instead of six.
-  constexpr double e = 2e-4;
+  constexpr double e = 5e-4;
   const dvec3 a(1, -1, -1), b(-1, -1, 1), c(-1, 1, -1), d(1, 1, 1);
   return (a * distance(p + e * a) + b * distance(p + e * b) + c * distance(p + e * c) + d * distance(p + e * d)) / (4 * e);
 }
@@ -289,7 +289,7 @@ Field build_field(const QuadrupedSpec& spec, const std::vector<std::string>& joi
       const Shape& later = field.shapes[j];
       if (box_distance(field.shapes[i].box, later.box.lower, later.box.upper) < 2 * later.blend) most = std::max(most, later.blend);
     }
-    reach.push_back(most + 0.03);
+    reach.push_back(most + 0.06);
   }
   const dvec3 size = field.box.size() / field.cell;
   field.nx = static_cast<int>(size.x) + 1, field.ny = static_cast<int>(size.y) + 1, field.nz = static_cast<int>(size.z) + 1;

@@ -53,7 +53,7 @@ struct Field {
   const std::vector<std::uint16_t>& near_shapes(const dvec3& p) const;
   FieldSample sample(const dvec3& p) const;
   double distance(const dvec3& p) const { return sample(p).distance; }
-  dvec3 gradient(const dvec3& p) const;  // differences over 0.2 mm
+  dvec3 gradient(const dvec3& p) const;  // differences over half a millimetre
   // Nearest point of the surface by damped Newton steps along the gradient.
   dvec3 project(const dvec3& p, int steps, bool on_midplane) const;
   Influencing influences(const dvec3& p) const;
