@@ -1,6 +1,194 @@
+// The command line of moomill: options, help, exit status. What the commands do is in commands.cpp.
+//
+// Exit status: 0 done, 1 failed while running, 2 bad usage or bad input.
+#include <CLI/CLI.hpp>
+#include <spdlog/sinks/stdout_color_sinks.h>
+#include <spdlog/spdlog.h>
+
+#include <csignal>
 #include <cstdio>
 
-int main() {
-  std::puts("moomill " MOOMILL_VERSION);
-  return 0;
+#include "generator/commands.h"
+#include "generator/core/error.h"
+#include "scenes/words.h"
+
+namespace {
+
+using namespace moomill;
+
+constexpr int failed_status = 1, usage_status = 2;
+
+std::atomic<bool> stop_wanted{false};
+
+// The first signal lets the frames in flight finish; the second, whose handling is the default again, kills.
+void stop_on_signal() {
+  struct sigaction action {};
+  action.sa_handler = [](int) { stop_wanted.store(true); };
+  action.sa_flags = SA_RESETHAND;
+  sigemptyset(&action.sa_mask);
+  sigaction(SIGINT, &action, nullptr);
+  sigaction(SIGTERM, &action, nullptr);
+}
+
+void log_to_stderr() {
+  auto logger = spdlog::stderr_color_mt("moomill");
+  logger->set_pattern("%^%l%$: %v");
+  spdlog::set_default_logger(logger);
+}
+
+void complain(const std::string& sentence) { fmt::print(stderr, "moomill: {}\n", sentence); }
+
+void add_example(CLI::App* app, const std::string& example) { app->footer("\nExample:\n  " + example); }
+
+void add_scene_options(CLI::App* app, SceneOptions& o) {
+  app->add_option("--frames", o.frames, "frames A to B only, both included")->type_name("A:B");
+  app->add_option("--cameras", o.cameras, "these cameras only")->type_name("0,2,5:7");
+  app->add_option("--coats", o.coats, "these coats only, by index")->type_name("0,11");
+  app->add_option("--modalities", o.modalities, "these instead of the scene's, or all")->type_name("rgb,depth");
+  app->add_option("--resolution", o.resolution, "of the pictures")->type_name("WxH");
+  app->add_option("--spp", o.samples, "samples per pixel")->type_name("N");
+}
+
+// Declares a command and what it runs; its status ends up in `status`.
+template <class Run>
+CLI::App* add_command(CLI::App& app, const char* name, const char* about, const char* example, int& status, Run run) {
+  CLI::App* command = app.add_subcommand(name, about);
+  command->callback([&status, run] { status = run(); });
+  add_example(command, example);
+  return command;
+}
+
+// The command that was named, down to `rig info`.
+const CLI::App* innermost(const CLI::App* app) {
+  for (auto found = app->get_subcommands(); !found.empty(); found = app->get_subcommands()) app = found.front();
+  return app;
+}
+
+std::string full_name(const CLI::App* app) {
+  if (!app->get_parent()) return app->get_name();
+  return full_name(app->get_parent()) + " " + app->get_name();
+}
+
+// What is wrong with the command line, in one sentence with the mend.
+std::string usage_sentence(const CLI::App& app, const CLI::ParseError& error) {
+  const CLI::App* command = innermost(&app);
+  const std::string help = fmt::format("`{} --help` has an example", full_name(command));
+  std::vector<std::string> commands, options;
+  for (const CLI::App* c : command->get_subcommands([](const CLI::App*) { return true; })) commands.push_back(c->get_name());
+  for (const CLI::Option* o : command->get_options())
+    for (const std::string& name : o->get_lnames()) options.push_back("--" + name);
+  for (const std::string& word : command->remaining(true)) {
+    if (word.rfind("-", 0) == 0)
+      return fmt::format("unknown option '{}'{}", word, suggestion(word.substr(0, word.find('=')), options, help + "; known are"));
+    if (!commands.empty()) return fmt::format("unknown command '{}'{}", word, suggestion(word, commands, "known are"));
+    return fmt::format("unexpected argument '{}'; {}", word, help);
+  }
+  std::string what = error.what();
+  while (!what.empty() && (what.back() == '.' || what.back() == '\n')) what.pop_back();
+  std::replace(what.begin(), what.end(), '\n', ' ');
+  if (!commands.empty()) return fmt::format("a command is missing{}", suggestion("", commands, "known are"));
+  return fmt::format("{}; {}", what, help);
+}
+
+int run(int argc, char** argv) {
+  CLI::App app("The mill: synthetic multi-view datasets of articulated animals with exact ground truth.", "moomill");
+  app.set_version_flag("--version", "moomill " MOOMILL_VERSION);
+  app.require_subcommand(1);
+  add_example(&app, "moomill generate scenes/quick.toml -o out/quick");
+  int status = 0;
+
+  PlanCommand plan;
+  CLI::App* c = add_command(app, "plan", "What generate would do: stages, images, disk, time", "moomill plan scenes/nepumoo.toml",
+                            status, [&] { return run_plan(plan); });
+  c->add_option("scene", plan.scene, "scene file")->required()->type_name("SCENE");
+  c->add_flag("--json", plan.json, "for programs");
+  add_scene_options(c, plan.options);
+
+  GenerateCommand generate;
+  c = add_command(app, "generate", "Make a dataset, or go on with it where an earlier run ended",
+                  "moomill generate scenes/nepumoo.toml -o out/multiview_cow --shard 0/16", status,
+                  [&] { return run_generate(generate, stop_wanted); });
+  c->add_option("scene", generate.scene, "scene file")->required()->type_name("SCENE");
+  c->add_option("-o,--out", generate.out, "folder of the dataset")->required()->type_name("DIR");
+  c->add_option("--layout", generate.layout, "layout on disk")->type_name("nepumoo")->check(CLI::IsMember({"nepumoo"}));
+  c->add_option("--shard", generate.shard, "this share of the frames only; join the shards by merge")->type_name("I/N");
+  c->add_option("--threads", generate.threads, "0: one per core")->type_name("N")->check(CLI::Range(0, 4096));
+  add_scene_options(c, generate.options);
+
+  RenderCommand render;
+  c = add_command(app, "render", "Render one view; every modality is a layer of the EXR",
+                  "moomill render scenes/quick.toml --frame 1 --camera 3 --coat 0 -o out/view.exr", status,
+                  [&] { return run_render(render); });
+  c->add_option("scene", render.scene, "scene file")->required()->type_name("SCENE");
+  c->add_option("--frame", render.frame, "frame, as numbered")->required()->type_name("F");
+  c->add_option("--camera", render.camera, "camera id")->required()->type_name("C");
+  c->add_option("--coat", render.coat, "coat index")->type_name("T");
+  c->add_option("-o,--out", render.out, "picture")->required()->type_name("FILE.exr");
+  c->add_option("--modalities", render.options.modalities, "these instead of the scene's, or all")->type_name("rgb,depth");
+  c->add_option("--resolution", render.options.resolution, "of the picture")->type_name("WxH");
+  c->add_option("--spp", render.options.samples, "samples per pixel")->type_name("N");
+
+  MergeCommand merge;
+  c = add_command(app, "merge", "Join shards into one dataset", "moomill merge out/shard0 out/shard1 -o out/whole", status,
+                  [&] { return run_merge(merge); });
+  c->add_option("shards", merge.shards, "folders that generate --shard made")->required()->type_name("DIR");
+  c->add_option("-o,--out", merge.out, "folder of the whole")->required()->type_name("DIR");
+  c->add_flag("--allow-missing", merge.allow_missing, "also when frames are missing");
+
+  PreviewCommand preview;
+  c = add_command(app, "preview", "Contact sheet of a dataset or a scene", "moomill preview out/quick -o out/quick.png",
+                  status, [&] { return run_preview(preview, stop_wanted); });
+  c->add_option("source", preview.source, "dataset folder or scene file")->required()->type_name("DIR|SCENE");
+  c->add_option("-o,--out", preview.out, "picture")->required()->type_name("FILE.png");
+  c->add_option("--frame", preview.frame, "default: the first")->type_name("F");
+  c->add_option("--camera", preview.camera, "of --modalities; default: the first")->type_name("C");
+  c->add_option("--coat", preview.coat, "default: the first")->type_name("T");
+  c->add_flag("--modalities", preview.modalities, "every modality of one view instead of every view of one frame");
+
+  std::string folder;
+  c = add_command(app, "validate", "Check every invariant of a dataset; exit 1 and a list where one fails",
+                  "moomill validate out/quick", status, [&] { return run_validate(folder); });
+  c->add_option("dataset", folder, "dataset folder")->required()->type_name("DIR");
+
+  CLI::App* rig = app.add_subcommand("rig", "Look at rigs and species");
+  rig->require_subcommand(1);
+  add_example(rig, "moomill rig check cow");
+  std::string rig_name, rig_out;
+  c = add_command(*rig, "info", "Joints, clips, size, weights, materials", "moomill rig info fox.glb", status,
+                  [&] { return run_rig_info(rig_name); });
+  c->add_option("rig", rig_name, "rig file, species file or species name")->required()->type_name("RIG");
+  c = add_command(*rig, "check", "What is wrong or suspicious about a rig; exit 1 when something is wrong",
+                  "moomill rig check cow", status, [&] { return run_rig_check(rig_name); });
+  c->add_option("rig", rig_name, "rig file, species file or species name")->required()->type_name("RIG");
+  c = add_command(*rig, "build", "Write the rig of a species as one .glb", "moomill rig build rigs/cow/cow.toml -o out/cow.glb",
+                  status, [&] { return run_rig_build(rig_name, rig_out); });
+  c->add_option("species", rig_name, "species file or species name")->required()->type_name("SPEC");
+  c->add_option("-o,--out", rig_out, "rig file to write")->required()->type_name("RIG.glb");
+
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& e) {
+    if (e.get_exit_code() == 0) return app.exit(e);  // --help and --version
+    complain(usage_sentence(app, e));
+    return usage_status;
+  }
+  return status;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  try {
+    log_to_stderr();
+    stop_on_signal();
+    return run(argc, argv);
+  } catch (const InputError& e) {
+    complain(e.what());
+    return usage_status;
+  } catch (const std::bad_alloc&) {
+    complain("there is not enough memory; use fewer --threads or a smaller --resolution");
+  } catch (const std::exception& e) {
+    complain(e.what());
+  }
+  return failed_status;
 }

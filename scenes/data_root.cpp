@@ -28,6 +28,11 @@ std::set<std::string> toml_names(const fs::path& folder) {
   return names;
 }
 
+// Of a species by name or by the path of its file.
+fs::path coats_of_species(const std::string& species) {
+  return data_root() / "textures" / (looks_like_path(species) ? fs::path(species).stem() : fs::path(species));
+}
+
 std::vector<std::string> shipped_species() {
   std::vector<std::string> names;
   std::error_code ignored;
@@ -67,14 +72,14 @@ fs::path find_species(const std::string& name_or_path, const fs::path& relative_
 }
 
 std::vector<std::string> shipped_coats(const std::string& species) {
-  const std::set<std::string> names = toml_names(data_root() / "textures" / species);
+  const std::set<std::string> names = toml_names(coats_of_species(species));
   return {names.begin(), names.end()};
 }
 
 fs::path find_coat(const std::string& name_or_path, const std::string& species, const fs::path& relative_to) {
   if (name_or_path == "own") return {};
   if (looks_like_path(name_or_path)) return find_file(name_or_path, relative_to);
-  const fs::path folder = data_root() / "textures" / species;
+  const fs::path folder = coats_of_species(species);
   const fs::path file = folder / (name_or_path + ".toml");
   if (is_file(file)) return file;
   std::vector<std::string> names = shipped_coats(species);

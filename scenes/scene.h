@@ -181,7 +181,7 @@ Species read_species(const std::string& name_or_path, NnopcsNormalization normal
 // The file a species name or path means; InputError names what there is. Names are those of rigs/<name>/<name>.toml
 // under data_root(); anything with a slash or an extension is a path, relative to `relative_to` or else to data_root().
 std::filesystem::path find_species(const std::string& name_or_path, const std::filesystem::path& relative_to);
-// The file a coat name or path means, alike; empty for "own".
+// The file a coat name or path means, alike; empty for "own". `species`: by name or by path.
 std::filesystem::path find_coat(const std::string& name_or_path, const std::string& species,
                                 const std::filesystem::path& relative_to);
 // Names of the coats that ship for a species, in the order of their index; empty when there are none.

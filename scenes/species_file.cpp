@@ -2,12 +2,9 @@
 // what its neutral pose, keypoints, skeleton and joint limits are.
 #include <set>
 
+#include "scenes/quadruped_file.h"
 #include "scenes/scene.h"
 #include "scenes/toml.h"
-#if __has_include("scenes/quadruped_file.h")
-#include "scenes/quadruped_file.h"
-#define MOOMILL_QUADRUPED 1
-#endif
 
 namespace moomill {
 namespace {
@@ -84,7 +81,9 @@ class SpeciesReader {
     if (t->has("builder")) {
       t->word("builder", "", {"quadruped"});
       t->finish();
-      build(*t);
+      std::optional<TomlReader> numbers = root_.table("builder");
+      if (!numbers) root_.missing("builder", "[builder] with the joints and solids of the animal");
+      s_.rig = build_quadruped(read_quadruped(*numbers));
       return true;
     }
     if (root_.has("builder")) root_.fail("builder", "has no effect beside [source] file; leave one of them out");
@@ -98,17 +97,6 @@ class SpeciesReader {
     s_.rig = load_rig(t->at_key("file", [&] { return find_file(name, folder_); }), options);
     if (yaw != 0) turn_rig(s_.rig, yaw);
     return false;
-  }
-
-  void build(TomlReader& source) {
-    std::optional<TomlReader> t = root_.table("builder");
-    if (!t) root_.missing("builder", "[builder] with the joints and solids of the animal");
-#ifdef MOOMILL_QUADRUPED
-    s_.rig = build_quadruped(read_quadruped(*t));
-#else
-    source.fail("builder", "is not in this program");
-#endif
-    (void)source;
   }
 
   int read_joint(TomlReader& t, const std::string& key) {

@@ -1,0 +1,54 @@
+#pragma once
+// What each command of `moomill` does, once its options are read. They return the exit status (0 or 1) or throw:
+// InputError for bad input, RunError for failures while running. Results go to stdout, all else to stderr.
+#include <atomic>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "generator/arguments.h"
+
+namespace moomill {
+
+struct PlanCommand {
+  std::string scene;
+  SceneOptions options;
+  bool json = false;
+};
+int run_plan(const PlanCommand& command);
+
+struct GenerateCommand {
+  std::string scene, out, shard, layout = "nepumoo";
+  SceneOptions options;
+  int threads = 0;
+};
+int run_generate(const GenerateCommand& command, std::atomic<bool>& stop);
+
+struct RenderCommand {
+  std::string scene, out;
+  SceneOptions options;
+  int frame = 0, camera = 0, coat = 0;
+};
+int run_render(const RenderCommand& command);
+
+struct MergeCommand {
+  std::vector<std::string> shards;
+  std::string out;
+  bool allow_missing = false;
+};
+int run_merge(const MergeCommand& command);
+
+struct PreviewCommand {
+  std::string source, out;  // a dataset folder or a scene file; a .png
+  std::optional<int> frame, camera, coat;
+  bool modalities = false;  // all modalities of one view instead of all views of a frame
+};
+int run_preview(const PreviewCommand& command, std::atomic<bool>& stop);
+
+int run_validate(const std::string& folder);
+
+int run_rig_info(const std::string& rig);
+int run_rig_check(const std::string& rig);
+int run_rig_build(const std::string& spec, const std::string& out);
+
+}  // namespace moomill
