@@ -1,8 +1,8 @@
 // FBX, Collada and OBJ in, through Assimp: the only file that knows it.
 //
 // Assimp 5.2 leaves FBX in the file's own axes and unit and only reports them as metadata; Collada's it folds into the
-// root node (the axes unless told not to, the unit always); OBJ has neither. All three are converted here, node by node,
-// as glTF is.
+// root node (the axes unless told not to, the unit always); OBJ has neither. All three are converted here, node by
+// node, as glTF is.
 #include <assimp/config.h>
 #include <assimp/postprocess.h>
 #include <assimp/scene.h>
@@ -42,20 +42,24 @@ struct Convention {
   }
 
  private:
-  dvec3 permute(const dvec3& s) const {
-    return dmat3(glm::abs(axes[0]), glm::abs(axes[1]), glm::abs(axes[2])) * s;
-  }
+  dvec3 permute(const dvec3& s) const { return dmat3(glm::abs(axes[0]), glm::abs(axes[1]), glm::abs(axes[2])) * s; }
 };
 
-dvec3 vec(const aiVector3D& v) { return {v.x, v.y, v.z}; }
-dquat quat(const aiQuaternion& q) { return dquat(q.w, q.x, q.y, q.z); }
+dvec3 vec(const aiVector3D& v) {
+  return {v.x, v.y, v.z};
+}
+dquat quat(const aiQuaternion& q) {
+  return dquat(q.w, q.x, q.y, q.z);
+}
 dmat4 mat(const aiMatrix4x4& m) {
   dmat4 r;
   for (int column = 0; column < 4; ++column)
     for (int row = 0; row < 4; ++row) r[column][row] = m[row][column];
   return r;
 }
-std::string text(const aiString& s) { return std::string(s.data, s.length); }
+std::string text(const aiString& s) {
+  return std::string(s.data, s.length);
+}
 
 std::string lower(std::string s) {
   for (char& c : s) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
@@ -68,8 +72,10 @@ Convention fbx_convention(const aiScene& scene, std::vector<std::string>& warnin
   if (!scene.mMetaData) return convention;
   float unit = 1;
   double unit_double = 1;
-  if (scene.mMetaData->Get("UnitScaleFactor", unit_double)) unit = static_cast<float>(unit_double);
-  else scene.mMetaData->Get("UnitScaleFactor", unit);
+  if (scene.mMetaData->Get("UnitScaleFactor", unit_double))
+    unit = static_cast<float>(unit_double);
+  else
+    scene.mMetaData->Get("UnitScaleFactor", unit);
   if (unit > 0 && std::isfinite(unit)) convention.metres_per_unit = static_cast<double>(unit) * 0.01;  // centimetres
   // FBX says which axis points up, which to the front (to us), and which to the right.
   int axis[3] = {0, 2, 1}, sign[3] = {1, 1, 1};  // right, front, up
@@ -86,8 +92,10 @@ Convention fbx_convention(const aiScene& scene, std::vector<std::string>& warnin
     if (axis[i] < 0 || axis[i] > 2) continue;
     rows[axis[i]][ours[i]] = sign[i] * towards[i];
   }
-  if (std::abs(glm::determinant(rows)) == 1) convention.axes = rows;
-  else warnings.push_back("the axes the file declares make no sense, Y is taken as up");
+  if (std::abs(glm::determinant(rows)) == 1)
+    convention.axes = rows;
+  else
+    warnings.push_back("the axes the file declares make no sense, Y is taken as up");
   return convention;
 }
 
@@ -193,7 +201,9 @@ struct Importer {
     const auto wrap = [&](const char* key) {
       int mode = aiTextureMapMode_Wrap;
       material.Get(key, type, 0, mode);
-      return mode == aiTextureMapMode_Wrap ? Wrap::repeat : mode == aiTextureMapMode_Mirror ? Wrap::mirror : Wrap::clamp;
+      return mode == aiTextureMapMode_Wrap     ? Wrap::repeat
+             : mode == aiTextureMapMode_Mirror ? Wrap::mirror
+                                               : Wrap::clamp;
     };
     use.wrap_u = wrap(_AI_MATKEY_MAPPINGMODE_U_BASE);
     use.wrap_v = wrap(_AI_MATKEY_MAPPINGMODE_V_BASE);
@@ -238,7 +248,8 @@ struct Importer {
         if (bones.count(name)) continue;
         const auto node = node_by_name.find(name);
         if (node == node_by_name.end())
-          input_error("{}: mesh '{}' is bound to the joint '{}', which does not exist", source(), text(mesh.mName), name);
+          input_error("{}: mesh '{}' is bound to the joint '{}', which does not exist", source(), text(mesh.mName),
+                      name);
         bones[name] = static_cast<std::uint32_t>(rig.bones.size() + found.size());
         found.emplace_back(node->second, convention.matrix(mat(mesh.mBones[b]->mOffsetMatrix)));
         for (int c = 0; c < 4; ++c)
@@ -247,8 +258,8 @@ struct Importer {
       }
     }
     if (found.empty()) return dmat4(1.0);
-    const auto top = std::min_element(found.begin(), found.end(),
-                                      [](const auto& a, const auto& b) { return a.first < b.first; });
+    const auto top =
+        std::min_element(found.begin(), found.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
     const dmat4 to_model = skin_space(world[top->first], top->second, rig.warnings);
     const dmat4 from_model = glm::affineInverse(to_model);
     for (const auto& [node, offset] : found) rig.bones.push_back({node, offset * from_model});
@@ -276,8 +287,8 @@ void Importer::read_mesh(const aiMesh& mesh, const std::string& name, int node, 
     for (unsigned i = 0; i < bone.mNumWeights; ++i) {
       const aiVertexWeight& w = bone.mWeights[i];
       if (w.mVertexId >= mesh.mNumVertices)
-        input_error("{}: joint '{}' weighs vertex {} of mesh '{}', which has {}", source(), text(bone.mName), w.mVertexId,
-                    name, mesh.mNumVertices);
+        input_error("{}: joint '{}' weighs vertex {} of mesh '{}', which has {}", source(), text(bone.mName),
+                    w.mVertexId, name, mesh.mNumVertices);
       if (w.mWeight != 0) influences[w.mVertexId].push_back({bones.at(text(bone.mName)), w.mWeight});
     }
   }
@@ -349,10 +360,9 @@ void Importer::read_mesh(const aiMesh& mesh, const std::string& name, int node, 
     rig.morph_node.push_back(node);
     rig.morph_index.push_back(static_cast<int>(m));
     for (const unsigned i : kept)
-      morph.positions.push_back(
-          from.HasPositions() && i < from.mNumVertices
-              ? vec3(linear * convention.point(vec(from.mVertices[i]) - vec(mesh.mVertices[i])))
-              : vec3(0));
+      morph.positions.push_back(from.HasPositions() && i < from.mNumVertices
+                                    ? vec3(linear * convention.point(vec(from.mVertices[i]) - vec(mesh.mVertices[i])))
+                                    : vec3(0));
     rig.morphs.push_back(std::move(morph));
   }
 }
@@ -382,19 +392,22 @@ void Importer::read_clips() {
         }
         for (const double v : out.values)
           if (!std::isfinite(v))
-            input_error("{}: clip '{}' moves node '{}' to where is not finite", source(), clip.name, text(moves.mNodeName));
+            input_error("{}: clip '{}' moves node '{}' to where is not finite", source(), clip.name,
+                        text(moves.mNodeName));
         if (out.times.empty()) return;
         clip.duration = std::max(clip.duration, out.times.back());
         clip.channels.push_back(std::move(out));
       };
-      channel(ChannelPath::translation, moves.mNumPositionKeys, moves.mPositionKeys, [&](const aiVector3D& v, auto& out) {
-        const dvec3 p = convention.point(vec(v));
-        out.insert(out.end(), {p.x, p.y, p.z});
-      });
-      channel(ChannelPath::rotation, moves.mNumRotationKeys, moves.mRotationKeys, [&](const aiQuaternion& v, auto& out) {
-        const dquat q = convention.rotation(quat(v));
-        out.insert(out.end(), {q.x, q.y, q.z, q.w});
-      });
+      channel(ChannelPath::translation, moves.mNumPositionKeys, moves.mPositionKeys,
+              [&](const aiVector3D& v, auto& out) {
+                const dvec3 p = convention.point(vec(v));
+                out.insert(out.end(), {p.x, p.y, p.z});
+              });
+      channel(ChannelPath::rotation, moves.mNumRotationKeys, moves.mRotationKeys,
+              [&](const aiQuaternion& v, auto& out) {
+                const dquat q = convention.rotation(quat(v));
+                out.insert(out.end(), {q.x, q.y, q.z, q.w});
+              });
       channel(ChannelPath::scale, moves.mNumScalingKeys, moves.mScalingKeys, [&](const aiVector3D& v, auto& out) {
         const dvec3 p = convention.scale(vec(v));
         out.insert(out.end(), {p.x, p.y, p.z});
@@ -421,8 +434,10 @@ Rig load_with_assimp(const std::filesystem::path& file, const LoadOptions& optio
   }
   Importer in{.file = file, .scene = *scene, .convention = {}};
   if (extension == ".dae") in.convention = collada_convention(file);
-  if (extension == ".dae") in.root_scale = static_cast<float>(in.convention.metres_per_unit);
-  else if (extension != ".obj") in.convention = fbx_convention(*scene, in.rig.warnings);
+  if (extension == ".dae")
+    in.root_scale = static_cast<float>(in.convention.metres_per_unit);
+  else if (extension != ".obj")
+    in.convention = fbx_convention(*scene, in.rig.warnings);
   in.rig.source = file.string();
   in.read_nodes(scene->mRootNode, -1);
   in.world = world_transforms(in.rig, bind_pose(in.rig));

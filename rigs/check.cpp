@@ -37,7 +37,8 @@ std::vector<std::uint32_t> weld(const Surface& s) {
   std::vector<std::uint32_t> place(s.rest.size());
   for (std::size_t i = 0; i < s.rest.size(); ++i) {
     const vec3& p = s.rest[i];
-    place[i] = known.try_emplace({p.x + 0.0f, p.y + 0.0f, p.z + 0.0f}, static_cast<std::uint32_t>(known.size())).first->second;
+    place[i] =
+        known.try_emplace({p.x + 0.0f, p.y + 0.0f, p.z + 0.0f}, static_cast<std::uint32_t>(known.size())).first->second;
   }
   return place;
 }
@@ -90,8 +91,9 @@ std::vector<std::size_t> influence_counts(const Rig& rig) {
 
 // Largest distance between the vertices as the file poses them and their rest positions.
 double bind_mismatch(const Rig& rig) {
-  const PosedSurface posed = skin(rig, bone_matrices(rig, world_transforms(rig, bind_pose(rig))),
-                                  std::vector<double>(rig.morph_weights.size(), 0.0), SkinningMethod::linear_blend, dvec3(0));
+  const PosedSurface posed =
+      skin(rig, bone_matrices(rig, world_transforms(rig, bind_pose(rig))),
+           std::vector<double>(rig.morph_weights.size(), 0.0), SkinningMethod::linear_blend, dvec3(0));
   double most = 0;
   for (std::size_t i = 0; i < posed.positions.size(); ++i)
     most = std::max(most, glm::length(dvec3(posed.positions[i]) - dvec3(rig.surface.rest[i])));
@@ -137,7 +139,8 @@ double distance_to_triangle(const dvec3& p, const dvec3& a, const dvec3& b, cons
 double distance_to_surface(const Surface& s, const std::vector<vec3>& positions, const dvec3& p) {
   double nearest = std::numeric_limits<double>::infinity();
   for (const uvec3& t : s.triangles)
-    nearest = std::min(nearest, distance_to_triangle(p, dvec3(positions[t[0]]), dvec3(positions[t[1]]), dvec3(positions[t[2]])));
+    nearest = std::min(nearest,
+                       distance_to_triangle(p, dvec3(positions[t[0]]), dvec3(positions[t[1]]), dvec3(positions[t[2]])));
   return nearest;
 }
 
@@ -153,8 +156,8 @@ std::string describe_rig(const Rig& rig) {
   if (!box.empty())
     line("size       {:.3f} x {:.3f} x {:.3f} m (x, y, z), from ({:.3f}, {:.3f}, {:.3f})", box.size().x, box.size().y,
          box.size().z, box.lower.x, box.lower.y, box.lower.z);
-  line("surface    {} vertices, {} triangles, {}, {}", s.rest.size(), s.triangles.size(), s.uvs.empty() ? "no UVs" : "UVs",
-       s.colors.empty() ? "no vertex colours" : "vertex colours");
+  line("surface    {} vertices, {} triangles, {}, {}", s.rest.size(), s.triangles.size(),
+       s.uvs.empty() ? "no UVs" : "UVs", s.colors.empty() ? "no vertex colours" : "vertex colours");
   const std::vector<std::size_t> with = influence_counts(rig);
   line("weights    at most {} joints per vertex, {:.2f} on average", with.size() - 1,
        s.rest.empty() ? 0.0 : static_cast<double>(rig.influences.size()) / static_cast<double>(s.rest.size()));
@@ -166,12 +169,14 @@ std::string describe_rig(const Rig& rig) {
          part.skinned ? "skinned" : "rigid");
   line("materials  {}", rig.materials.size());
   const auto image_name = [&](const TextureUse& use) {
-    return use.image >= 0 && use.image < static_cast<int>(rig.images.size()) ? rig.images[use.image].name : std::string("none");
+    return use.image >= 0 && use.image < static_cast<int>(rig.images.size()) ? rig.images[use.image].name
+                                                                             : std::string("none");
   };
   for (const RigMaterial& m : rig.materials)
-    line("             {}: colour {:.3f} {:.3f} {:.3f}, roughness {:.2f}, metallic {:.2f}, textures: base {}, normal {}",
-         m.name, m.base_color.x, m.base_color.y, m.base_color.z, m.roughness, m.metallic, image_name(m.base_texture),
-         image_name(m.normal_texture));
+    line(
+        "             {}: colour {:.3f} {:.3f} {:.3f}, roughness {:.2f}, metallic {:.2f}, textures: base {}, normal {}",
+        m.name, m.base_color.x, m.base_color.y, m.base_color.z, m.roughness, m.metallic, image_name(m.base_texture),
+        image_name(m.normal_texture));
   line("parts      {}", rig.part_names.size());
   std::vector<std::size_t> triangles_of(rig.part_names.size(), 0);
   for (const std::uint16_t part : s.parts) ++triangles_of[part];
@@ -197,7 +202,8 @@ std::string describe_rig(const Rig& rig) {
     const auto [node, depth] = stack.back();
     stack.pop_back();
     line("             {:{}}{}{}", "", 2 * std::min(depth, 40), rig.nodes[node].name, joints.count(node) ? " *" : "");
-    for (auto child = children[node].rbegin(); child != children[node].rend(); ++child) stack.emplace_back(*child, depth + 1);
+    for (auto child = children[node].rbegin(); child != children[node].rend(); ++child)
+      stack.emplace_back(*child, depth + 1);
   }
   line("warnings   {}", rig.warnings.size());
   for (const std::string& warning : rig.warnings) line("             {}", warning);
@@ -232,22 +238,32 @@ std::vector<Finding> check_rig(const Rig& rig) {
   std::size_t many = 0;
   for (std::size_t n = 5; n < with.size(); ++n) many += with[n];
   if (many)
-    suspicious(findings, "{} of {} vertices have more than 4 joints (at most {}), all are used here but other programs may drop some",
-               many, s.rest.size(), with.size() - 1);
+    suspicious(
+        findings,
+        "{} of {} vertices have more than 4 joints (at most {}), all are used here but other programs may drop some",
+        many, s.rest.size(), with.size() - 1);
 
   const Topology found = topology(s);
   if (found.degenerate) suspicious(findings, "{} of {} triangles have no area", found.degenerate, s.triangles.size());
   if (found.isolated) suspicious(findings, "{} of {} vertices belong to no triangle", found.isolated, s.rest.size());
-  if (found.border) suspicious(findings, "{} of {} edges have a triangle on one side only: the surface has holes or open borders", found.border, found.edges);
-  if (found.non_manifold) suspicious(findings, "{} of {} edges have more than two triangles", found.non_manifold, found.edges);
-  if (found.inconsistent) suspicious(findings, "{} of {} edges join triangles that face opposite ways", found.inconsistent, found.edges);
+  if (found.border)
+    suspicious(findings, "{} of {} edges have a triangle on one side only: the surface has holes or open borders",
+               found.border, found.edges);
+  if (found.non_manifold)
+    suspicious(findings, "{} of {} edges have more than two triangles", found.non_manifold, found.edges);
+  if (found.inconsistent)
+    suspicious(findings, "{} of {} edges join triangles that face opposite ways", found.inconsistent, found.edges);
 
   const Box box = bounds(rig);
   const double length = std::max({box.size().x, box.size().y, box.size().z});
   if (length < 0.05 || length > 30)
-    suspicious(findings, "the longest side is {:.4g} m, which no animal has: check the unit of the file, or load it with a scale", length);
+    suspicious(findings,
+               "the longest side is {:.4g} m, which no animal has: check the unit of the file, or load it with a scale",
+               length);
   if (const double mismatch = bind_mismatch(rig); !(mismatch <= 1e-4 * box.diagonal()))
-    suspicious(findings, "as the file poses it, vertices are up to {:.4g} m from where they were bound: it was saved in a pose", mismatch);
+    suspicious(findings,
+               "as the file poses it, vertices are up to {:.4g} m from where they were bound: it was saved in a pose",
+               mismatch);
   if (s.uvs.empty()) suspicious(findings, "there are no UVs: image coats and UV maps cannot be made");
 
   const auto duplicates = [&](const auto& items, const char* what) {
@@ -264,7 +280,8 @@ std::vector<Finding> check_rig(const Rig& rig) {
   std::vector<char> moves(rig.bones.size(), 0);
   for (const Influence& influence : rig.influences) moves[influence.bone] = 1;
   std::map<int, bool> idle;  // by node: several bones may hang on one
-  for (std::size_t b = 0; b < rig.bones.size(); ++b) idle.try_emplace(rig.bones[b].node, true).first->second &= !moves[b];
+  for (std::size_t b = 0; b < rig.bones.size(); ++b)
+    idle.try_emplace(rig.bones[b].node, true).first->second &= !moves[b];
   std::vector<std::string> names;
   for (const auto& [node, none] : idle)
     if (none) names.push_back(rig.nodes[node].name);
@@ -305,10 +322,13 @@ std::vector<Finding> check_species(const Species& species) {
   const int nodes = static_cast<int>(rig.nodes.size());
   for (const Keypoint& k : species.keypoints) {
     if (!names.insert(k.name).second) wrong(findings, "two keypoints are called '{}'", k.name);
-    if (!(k.tolerance >= 0) || k.tolerance > size) wrong(findings, "the tolerance of keypoint '{}' is {} m", k.name, k.tolerance);
+    if (!(k.tolerance >= 0) || k.tolerance > size)
+      wrong(findings, "the tolerance of keypoint '{}' is {} m", k.name, k.tolerance);
     bool here = true;
-    if (const auto* joint = std::get_if<JointAnchor>(&k.anchor)) here = joint->node >= 0 && joint->node < nodes && all_finite(joint->neutral);
-    if (const auto* point = std::get_if<SurfaceAnchor>(&k.anchor)) here = point->triangle < rig.surface.triangles.size() && all_finite(point->barycentrics);
+    if (const auto* joint = std::get_if<JointAnchor>(&k.anchor))
+      here = joint->node >= 0 && joint->node < nodes && all_finite(joint->neutral);
+    if (const auto* point = std::get_if<SurfaceAnchor>(&k.anchor))
+      here = point->triangle < rig.surface.triangles.size() && all_finite(point->barycentrics);
     if (!here) wrong(findings, "keypoint '{}' is anchored to what does not exist", k.name);
     anchored &= here;
   }
@@ -323,7 +343,8 @@ std::vector<Finding> check_species(const Species& species) {
         continue;
       }
       const double from_surface = distance_to_surface(rig.surface, posed.positions, points[i]);
-      if (winding_number(rig.surface, posed.positions, points[i]) < 0.5 && from_surface > std::max(k.tolerance, 0.005 * size))
+      if (winding_number(rig.surface, posed.positions, points[i]) < 0.5 &&
+          from_surface > std::max(k.tolerance, 0.005 * size))
         suspicious(findings, "keypoint '{}' is outside of the body, {:.3f} m from its surface", k.name, from_surface);
     }
     // Left and right mirror each other across the plane that all pairs suggest.
@@ -339,7 +360,8 @@ std::vector<Finding> check_species(const Species& species) {
       across += points[left] - points[right];
       middle += 0.5 * (points[left] + points[right]);
     }
-    if (sound && !(glm::length(across) > 1e-6)) wrong(findings, "the left and right keypoints of all pairs cancel out, some are swapped");
+    if (sound && !(glm::length(across) > 1e-6))
+      wrong(findings, "the left and right keypoints of all pairs cancel out, some are swapped");
     else if (sound) {
       const dvec3 normal = glm::normalize(across);
       middle /= static_cast<double>(species.pairs.size());
@@ -370,7 +392,8 @@ std::vector<Finding> check_species(const Species& species) {
       if (!std::isfinite(lower) || !std::isfinite(upper) || lower > upper)
         wrong(findings, "the limit of '{}' about {} is from {} to {} degrees", name, letter, lower, upper);
       else if (lower > 0 || upper < 0)
-        suspicious(findings, "the limit of '{}' about {}, {} to {} degrees, leaves out the neutral pose", name, letter, lower, upper);
+        suspicious(findings, "the limit of '{}' about {}, {} to {} degrees, leaves out the neutral pose", name, letter,
+                   lower, upper);
       else if (upper - lower > 240)
         suspicious(findings, "'{}' may turn by {} degrees about {}, more than joints do", name, upper - lower, letter);
     }

@@ -8,7 +8,7 @@
 
 #include "generator/core/error.h"
 #include "rigs/gltf_axes.h"
-#include "rigs/gltf_container.h"
+#include "rigs/gltf_reader.h"
 #include "rigs/loading.h"
 #include "rigs/pose.h"
 #include "rigs/rig.h"
@@ -20,34 +20,36 @@ namespace {
 constexpr std::size_t most_without_data = 16'000'000;  // elements of an accessor that has no bytes behind it
 constexpr std::size_t most_vertices = 50'000'000;      // a small file may instance a mesh without end
 
-// An accessor as doubles; normalised integers are already in [0, 1] or [-1, 1].
-struct Values {
-  std::size_t count = 0;
-  int width = 0;
-  std::vector<double> data;
-  const double* operator[](std::size_t i) const { return data.data() + i * width; }
-};
-
 int component_bytes(int type) {
   switch (type) {
     case TINYGLTF_COMPONENT_TYPE_BYTE:
-    case TINYGLTF_COMPONENT_TYPE_UNSIGNED_BYTE: return 1;
+    case TINYGLTF_COMPONENT_TYPE_UNSIGNED_BYTE:
+      return 1;
     case TINYGLTF_COMPONENT_TYPE_SHORT:
-    case TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT: return 2;
+    case TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT:
+      return 2;
     case TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT:
-    case TINYGLTF_COMPONENT_TYPE_FLOAT: return 4;
-    default: return 0;
+    case TINYGLTF_COMPONENT_TYPE_FLOAT:
+      return 4;
+    default:
+      return 0;
   }
 }
 
 int components(int type) {
   switch (type) {
-    case TINYGLTF_TYPE_SCALAR: return 1;
-    case TINYGLTF_TYPE_VEC2: return 2;
-    case TINYGLTF_TYPE_VEC3: return 3;
-    case TINYGLTF_TYPE_VEC4: return 4;
-    case TINYGLTF_TYPE_MAT4: return 16;
-    default: return 0;
+    case TINYGLTF_TYPE_SCALAR:
+      return 1;
+    case TINYGLTF_TYPE_VEC2:
+      return 2;
+    case TINYGLTF_TYPE_VEC3:
+      return 3;
+    case TINYGLTF_TYPE_VEC4:
+      return 4;
+    case TINYGLTF_TYPE_MAT4:
+      return 16;
+    default:
+      return 0;
   }
 }
 
@@ -64,121 +66,116 @@ double component(const std::uint8_t* p, int type, bool normalized) {
       const double v = load<std::int8_t>(p);
       return normalized ? std::max(v / 127, -1.0) : v;
     }
-    case TINYGLTF_COMPONENT_TYPE_UNSIGNED_BYTE: return *p / (normalized ? 255.0 : 1.0);
+    case TINYGLTF_COMPONENT_TYPE_UNSIGNED_BYTE:
+      return *p / (normalized ? 255.0 : 1.0);
     case TINYGLTF_COMPONENT_TYPE_SHORT: {
       const double v = load<std::int16_t>(p);
       return normalized ? std::max(v / 32767, -1.0) : v;
     }
-    case TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT: return load<std::uint16_t>(p) / (normalized ? 65535.0 : 1.0);
-    case TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT: return load<std::uint32_t>(p);
-    default: return load<float>(p);
+    case TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT:
+      return load<std::uint16_t>(p) / (normalized ? 65535.0 : 1.0);
+    case TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT:
+      return load<std::uint32_t>(p);
+    default:
+      return load<float>(p);
   }
 }
 
-struct Reader {
-  std::string file;
-  Container container;
-  tinygltf::Model model;
-  Rig rig;
-  std::vector<int> node_of;                   // file node -> rig node, -1 where left out
-  std::map<int, std::uint32_t> skin_bones;    // file skin -> first bone
-  std::map<int, dmat4> skin_to_model;         // file skin -> what takes its mesh space to model space
-  std::map<int, std::uint32_t> rigid_bones;   // file node -> bone
-  std::map<int, int> images;                  // file image -> rig image
-  std::vector<dmat4> world;                   // of rig nodes, as the file poses them
-  std::size_t skipped_primitives = 0, leftover_indices = 0;
+}  // namespace
 
-  template <class... Args>
-  [[noreturn]] void fail(fmt::format_string<Args...> format, Args&&... args) const {
-    throw InputError(file + ": " + fmt::format(format, std::forward<Args>(args)...));
-  }
-  void index_in(int index, std::size_t size, const std::string& who, const char* what) const {
-    if (index < 0 || static_cast<std::size_t>(index) >= size)
-      fail("{} refers to {} {}, but there are {}, export it again", who, what, index, size);
-  }
+Reader::Reader(const std::filesystem::path& path)
+    : file(path.string()),
+      container(open_container(path)),
+      parsed(std::make_shared<tinygltf::Model>()),
+      model(*parsed) {
+  rig.source = file;
+  rig.warnings = container.warnings;
+  parse();
+}
 
-  // The bytes [offset, offset + size) of a buffer view.
-  const std::uint8_t* bytes(int view_index, std::size_t offset, std::size_t size, const std::string& who) const {
-    index_in(view_index, model.bufferViews.size(), who, "bufferView");
-    const tinygltf::BufferView& view = model.bufferViews[view_index];
-    index_in(view.buffer, container.buffers.size(), fmt::format("bufferViews[{}]", view_index), "buffer");
-    const auto& buffer = container.buffers[view.buffer];
-    if (view.byteOffset > buffer.size() || view.byteLength > buffer.size() - view.byteOffset)
-      fail("bufferViews[{}] reaches past the end of buffer {} ({} bytes), export it again", view_index, view.buffer,
-           buffer.size());
-    if (offset > view.byteLength || size > view.byteLength - offset)
-      fail("{} reaches past the end of bufferViews[{}] ({} bytes), export it again", who, view_index, view.byteLength);
-    return buffer.data() + view.byteOffset + offset;
-  }
+std::size_t Reader::node_count() const {
+  return model.nodes.size();
+}
 
-  Values values(int index, const std::string& what, std::initializer_list<int> widths) const {
-    index_in(index, model.accessors.size(), what, "accessor");
-    const tinygltf::Accessor& a = model.accessors[index];
-    const std::string who = fmt::format("accessors[{}] ({})", index, what);
-    Values out{a.count, components(a.type), {}};
-    const std::size_t size = component_bytes(a.componentType), element = size * out.width;
-    if (size == 0) fail("{} has the component type {}, which glTF does not know", who, a.componentType);
-    if (std::find(widths.begin(), widths.end(), out.width) == widths.end())
-      fail("{} has {} numbers per element, which does not fit its use", who, out.width);
-    if (a.bufferView < 0) {
-      if (a.count > most_without_data) fail("{} has {} elements but no data, export it again", who, a.count);
-      out.data.assign(a.count * out.width, 0.0);
-    } else {
-      index_in(a.bufferView, model.bufferViews.size(), who, "bufferView");
-      std::size_t stride = model.bufferViews[a.bufferView].byteStride;
-      if (stride == 0) stride = element;
-      if (stride < element) fail("{} has elements of {} bytes every {} bytes, export it again", who, element, stride);
-      if (a.count > (std::size_t{1} << 40)) fail("{} has {} elements, export it again", who, a.count);
-      const std::uint8_t* p = bytes(a.bufferView, a.byteOffset, a.count ? stride * (a.count - 1) + element : 0, who);
-      out.data.resize(a.count * out.width);
-      for (std::size_t i = 0; i < a.count; ++i)
-        for (int k = 0; k < out.width; ++k)
-          out.data[i * out.width + k] = component(p + i * stride + k * size, a.componentType, a.normalized);
+const std::map<std::string, int>& Reader::attributes(int mesh) const {
+  index_in(mesh, model.meshes.size(), "extras.moomill", "mesh");
+  if (model.meshes[mesh].primitives.empty()) fail("mesh {} has no primitives", mesh);
+  return model.meshes[mesh].primitives[0].attributes;
+}
+
+const std::vector<std::map<std::string, int>>& Reader::morph_targets(int mesh) const {
+  attributes(mesh);  // checks the number
+  return model.meshes[mesh].primitives[0].targets;
+}
+
+// Weights channels move the nodes that hold meshes; the rig's own node is noted beside them.
+void Reader::retarget_own_channels() {
+  for (auto& animation : model.animations)
+    for (auto& channel : animation.channels)
+      if (channel.extras.IsObject() && channel.extras.Has("node"))
+        channel.target_node = channel.extras.Get("node").GetNumberAsInt();
+}
+
+const std::uint8_t* Reader::bytes(int view_index, std::size_t offset, std::size_t size, const std::string& who) const {
+  index_in(view_index, model.bufferViews.size(), who, "bufferView");
+  const tinygltf::BufferView& view = model.bufferViews[view_index];
+  index_in(view.buffer, container.buffers.size(), fmt::format("bufferViews[{}]", view_index), "buffer");
+  const auto& buffer = container.buffers[view.buffer];
+  if (view.byteOffset > buffer.size() || view.byteLength > buffer.size() - view.byteOffset)
+    fail("bufferViews[{}] reaches past the end of buffer {} ({} bytes), export it again", view_index, view.buffer,
+         buffer.size());
+  if (offset > view.byteLength || size > view.byteLength - offset)
+    fail("{} reaches past the end of bufferViews[{}] ({} bytes), export it again", who, view_index, view.byteLength);
+  return buffer.data() + view.byteOffset + offset;
+}
+
+Values Reader::values(int index, const std::string& what, std::initializer_list<int> widths) const {
+  index_in(index, model.accessors.size(), what, "accessor");
+  const tinygltf::Accessor& a = model.accessors[index];
+  const std::string who = fmt::format("accessors[{}] ({})", index, what);
+  Values out{a.count, components(a.type), {}};
+  const std::size_t size = component_bytes(a.componentType), element = size * out.width;
+  if (size == 0) fail("{} has the component type {}, which glTF does not know", who, a.componentType);
+  if (std::find(widths.begin(), widths.end(), out.width) == widths.end())
+    fail("{} has {} numbers per element, which does not fit its use", who, out.width);
+  if (a.bufferView < 0) {
+    if (a.count > most_without_data) fail("{} has {} elements but no data, export it again", who, a.count);
+    out.data.assign(a.count * out.width, 0.0);
+  } else {
+    index_in(a.bufferView, model.bufferViews.size(), who, "bufferView");
+    std::size_t stride = model.bufferViews[a.bufferView].byteStride;
+    if (stride == 0) stride = element;
+    if (stride < element) fail("{} has elements of {} bytes every {} bytes, export it again", who, element, stride);
+    if (a.count > (std::size_t{1} << 40)) fail("{} has {} elements, export it again", who, a.count);
+    const std::uint8_t* p = bytes(a.bufferView, a.byteOffset, a.count ? stride * (a.count - 1) + element : 0, who);
+    out.data.resize(a.count * out.width);
+    for (std::size_t i = 0; i < a.count; ++i)
+      for (int k = 0; k < out.width; ++k)
+        out.data[i * out.width + k] = component(p + i * stride + k * size, a.componentType, a.normalized);
+  }
+  if (a.sparse.isSparse) {
+    const std::size_t index_size = component_bytes(a.sparse.indices.componentType);
+    if (a.sparse.count < 0 || static_cast<std::size_t>(a.sparse.count) > a.count || index_size == 0 ||
+        a.sparse.indices.componentType == TINYGLTF_COMPONENT_TYPE_FLOAT || a.sparse.indices.byteOffset < 0 ||
+        a.sparse.values.byteOffset < 0)
+      fail("{} has a broken sparse part, export it again", who);
+    const std::size_t count = a.sparse.count;
+    const auto* at = bytes(a.sparse.indices.bufferView, a.sparse.indices.byteOffset, count * index_size, who);
+    const auto* from = bytes(a.sparse.values.bufferView, a.sparse.values.byteOffset, count * element, who);
+    for (std::size_t i = 0; i < count; ++i) {
+      const double target = component(at + i * index_size, a.sparse.indices.componentType, false);
+      if (!(target >= 0 && target < static_cast<double>(a.count)))
+        fail("{} replaces element {}, but there are {}, export it again", who, target, a.count);
+      for (int k = 0; k < out.width; ++k)
+        out.data[static_cast<std::size_t>(target) * out.width + k] =
+            component(from + i * element + k * size, a.componentType, a.normalized);
     }
-    if (a.sparse.isSparse) {
-      const std::size_t index_size = component_bytes(a.sparse.indices.componentType);
-      if (a.sparse.count < 0 || static_cast<std::size_t>(a.sparse.count) > a.count || index_size == 0 ||
-          a.sparse.indices.componentType == TINYGLTF_COMPONENT_TYPE_FLOAT || a.sparse.indices.byteOffset < 0 ||
-          a.sparse.values.byteOffset < 0)
-        fail("{} has a broken sparse part, export it again", who);
-      const std::size_t count = a.sparse.count;
-      const auto* at = bytes(a.sparse.indices.bufferView, a.sparse.indices.byteOffset, count * index_size, who);
-      const auto* from = bytes(a.sparse.values.bufferView, a.sparse.values.byteOffset, count * element, who);
-      for (std::size_t i = 0; i < count; ++i) {
-        const double target = component(at + i * index_size, a.sparse.indices.componentType, false);
-        if (!(target >= 0 && target < static_cast<double>(a.count)))
-          fail("{} replaces element {}, but there are {}, export it again", who, target, a.count);
-        for (int k = 0; k < out.width; ++k)
-          out.data[static_cast<std::size_t>(target) * out.width + k] =
-              component(from + i * element + k * size, a.componentType, a.normalized);
-      }
-    }
-    return out;
   }
-
-  void parse();
-  std::vector<int> scene_roots(const LoadOptions& options) const;
-  std::vector<int> reachable(const std::vector<int>& roots) const;
-  std::vector<int> parents() const;
-  Node convert_node(int i, double matrix_error) const;
-  void read_nodes(const std::vector<int>& in_scene);
-  void read_skin(int skin);
-  std::uint32_t rigid_bone(int node);
-  int image(int index);
-  template <class Info>
-  TextureUse texture(const Info& info, const std::string& material);
-  void read_materials();
-  void read_mesh(int node);
-  std::vector<std::uint32_t> read_triangles(const tinygltf::Primitive& primitive, std::size_t vertices,
-                                            const std::string& who);
-  void read_primitive(int node, const tinygltf::Primitive& primitive, const std::string& name, int first_slot);
-  void read_clips();
-  void read_own(const nlohmann::json& own);
-  void read_own_mesh(const nlohmann::json& about, int mesh);
-};
+  return out;
+}
 
 // tinygltf asks for the buffers by the names parse() gave them.
-bool give_buffer(std::vector<unsigned char>* out, std::string*, const std::string& path, void* user) {
+static bool give_buffer(std::vector<unsigned char>* out, std::string*, const std::string& path, void* user) {
   const auto& buffers = *static_cast<const std::vector<std::vector<std::uint8_t>>*>(user);
   const std::size_t index = std::stoul(path.substr(path.rfind('-') + 1));
   *out = buffers.at(index);
@@ -350,7 +347,8 @@ void Reader::read_skin(int index) {
     for (std::size_t j = 0; j < inverse_bind.size(); ++j) {
       for (int k = 0; k < 16; ++k) inverse_bind[j][k / 4][k % 4] = v[j][k];
       for (int c = 0; c < 4; ++c)
-        if (!all_finite(inverse_bind[j][c])) fail("skins[{}]: the inverse bind matrix of joint {} is not finite", index, j);
+        if (!all_finite(inverse_bind[j][c]))
+          fail("skins[{}]: the inverse bind matrix of joint {} is not finite", index, j);
       inverse_bind[j] = to_z_up(inverse_bind[j]);
     }
   }
@@ -395,17 +393,17 @@ int Reader::image(int index) {
   return images[index] = result;
 }
 
-Wrap wrap_mode(int mode) {
+static Wrap wrap_mode(int mode) {
   if (mode == TINYGLTF_TEXTURE_WRAP_CLAMP_TO_EDGE) return Wrap::clamp;
   return mode == TINYGLTF_TEXTURE_WRAP_MIRRORED_REPEAT ? Wrap::mirror : Wrap::repeat;
 }
 
-double number(const tinygltf::Value& object, const char* key, double otherwise) {
+static double number(const tinygltf::Value& object, const char* key, double otherwise) {
   return object.IsObject() && object.Has(key) && object.Get(key).IsNumber() ? object.Get(key).GetNumberAsDouble()
-                                                                              : otherwise;
+                                                                            : otherwise;
 }
 
-vec2 pair_of(const tinygltf::Value& object, const char* key, vec2 otherwise) {
+static vec2 pair_of(const tinygltf::Value& object, const char* key, vec2 otherwise) {
   if (!object.IsObject() || !object.Has(key)) return otherwise;
   const tinygltf::Value& v = object.Get(key);
   if (!v.IsArray() || v.ArrayLen() != 2 || !v.Get(0).IsNumber() || !v.Get(1).IsNumber()) return otherwise;
@@ -571,7 +569,8 @@ void Reader::read_primitive(int node, const tinygltf::Primitive& primitive, cons
   if (skinned) {
     std::vector<std::pair<Values, Values>> sets;
     for (int n = 0; primitive.attributes.count(fmt::format("JOINTS_{}", n)); ++n) {
-      if (!primitive.attributes.count(fmt::format("WEIGHTS_{}", n))) fail("{} has JOINTS_{} but no WEIGHTS_{}", who, n, n);
+      if (!primitive.attributes.count(fmt::format("WEIGHTS_{}", n)))
+        fail("{} has JOINTS_{} but no WEIGHTS_{}", who, n, n);
       sets.emplace_back(read(fmt::format("JOINTS_{}", n), {4}), read(fmt::format("WEIGHTS_{}", n), {4}));
     }
     const std::uint32_t first_bone = skin_bones[model.nodes[node].skin];
@@ -681,20 +680,30 @@ void Reader::read_clips() {
       channel.node = node_of[from.target_node];
       if (channel.node < 0) continue;
       std::size_t width = 3;
-      if (from.target_path == "translation") channel.path = ChannelPath::translation;
-      else if (from.target_path == "rotation") channel.path = ChannelPath::rotation, width = 4;
-      else if (from.target_path == "scale") channel.path = ChannelPath::scale;
-      else if (from.target_path == "weights") channel.path = ChannelPath::weights, width = 1;
-      else { ++ignored; continue; }
+      if (from.target_path == "translation")
+        channel.path = ChannelPath::translation;
+      else if (from.target_path == "rotation")
+        channel.path = ChannelPath::rotation, width = 4;
+      else if (from.target_path == "scale")
+        channel.path = ChannelPath::scale;
+      else if (from.target_path == "weights")
+        channel.path = ChannelPath::weights, width = 1;
+      else {
+        ++ignored;
+        continue;
+      }
       index_in(from.sampler, animation.samplers.size(), who, "sampler");
       const tinygltf::AnimationSampler& sampler = animation.samplers[from.sampler];
-      if (sampler.interpolation == "STEP") channel.interpolation = Interpolation::step;
-      else if (sampler.interpolation == "CUBICSPLINE") channel.interpolation = Interpolation::cubic_spline;
+      if (sampler.interpolation == "STEP")
+        channel.interpolation = Interpolation::step;
+      else if (sampler.interpolation == "CUBICSPLINE")
+        channel.interpolation = Interpolation::cubic_spline;
       else if (sampler.interpolation != "LINEAR")
         fail("{} has the interpolation '{}', which glTF does not know", who, sampler.interpolation);
       channel.times = values(sampler.input, "times of " + who, {1}).data;
       const Values v = values(sampler.output, "values of " + who, {static_cast<int>(width)});
-      const std::size_t keys = channel.times.size(), per_key = channel.interpolation == Interpolation::cubic_spline ? 3 : 1;
+      const std::size_t keys = channel.times.size(),
+                        per_key = channel.interpolation == Interpolation::cubic_spline ? 3 : 1;
       if (keys == 0) continue;
       if (v.count < keys * per_key || v.count % (keys * per_key) != 0 || (width > 1 && v.count != keys * per_key))
         fail("{} has {} times but {} values, export it again", who, keys, v.count);
@@ -725,158 +734,8 @@ void Reader::read_clips() {
   if (ignored) rig.warnings.push_back(fmt::format("{} animation channels move what moomill does not know", ignored));
 }
 
-// Restores what write_glb() wrote, bit for bit. JSON exceptions mean that someone changed it.
-void Reader::read_own(const nlohmann::json& own) {
-  const std::size_t nodes = own.at("nodes").get<std::size_t>();
-  if (nodes > model.nodes.size()) fail("should have {} nodes but has {}", nodes, model.nodes.size());
-  const std::vector<int> parent = parents();
-  node_of.assign(model.nodes.size(), -1);
-  for (std::size_t i = 0; i < nodes; ++i) {
-    node_of[i] = static_cast<int>(i);
-    rig.nodes.push_back(convert_node(static_cast<int>(i), -1));
-    rig.nodes.back().parent = parent[i] >= 0 && parent[i] < static_cast<int>(nodes) ? parent[i] : -1;
-  }
-  read_materials();
-  for (const auto& bone : own.at("bones")) {
-    Bone b{bone.at("node").get<int>()};
-    for (int k = 0; k < 16; ++k) b.inverse_bind[k / 4][k % 4] = bone.at("inverse_bind").at(k).get<double>();
-    index_in(b.node, nodes, "a bone", "node");
-    rig.bones.push_back(b);
-  }
-  for (const auto& slot : own.at("morph_slots")) {
-    rig.morph_weights.push_back(slot.at("weight").get<double>());
-    rig.morph_node.push_back(slot.at("node").get<int>());
-    rig.morph_index.push_back(slot.at("index").get<int>());
-  }
-  std::map<std::size_t, MorphTarget> morphs;
-  rig.influence_begin = {0};
-  for (std::size_t m = 0; m < own.at("meshes").size(); ++m) {
-    read_own_mesh(own.at("meshes").at(m), static_cast<int>(m));
-    const auto& about = own.at("meshes").at(m);
-    for (std::size_t t = 0; t < about.at("morphs").size(); ++t) {
-      const auto& entry = about.at("morphs").at(t);
-      const auto& primitive = model.meshes[m].primitives[0];
-      index_in(static_cast<int>(t), primitive.targets.size(), "extras.moomill", "morph target");
-      MorphTarget morph{.name = entry.at("name").get<std::string>(), .first_vertex = rig.meshes.back().first_vertex};
-      morph.weight_slot = entry.at("slot").get<int>();
-      for (const auto& [key, accessor] : primitive.targets[t]) {
-        const Values v = values(accessor, "morph target", {3});
-        if (v.count != rig.meshes.back().vertex_count) fail("morph target '{}' has another number of vertices", morph.name);
-        std::vector<vec3>& out = key == "NORMAL" ? morph.normals : morph.positions;
-        for (std::size_t i = 0; i < v.count; ++i) out.push_back(vec3(to_z_up(dvec3(v[i][0], v[i][1], v[i][2]))));
-      }
-      morphs[entry.at("order").get<std::size_t>()] = std::move(morph);
-    }
-  }
-  for (auto& [order, morph] : morphs) rig.morphs.push_back(std::move(morph));
-  rig.part_names = own.at("part_names").get<std::vector<std::string>>();
-  rig.surface.normalization =
-      own.at("normalization") == "diagonal" ? NnopcsNormalization::diagonal : NnopcsNormalization::box;
-  if (own.contains("neutral_box"))
-    for (int k = 0; k < 3; ++k) {
-      rig.surface.neutral_box.lower[k] = own.at("neutral_box").at(0).at(k).get<double>();
-      rig.surface.neutral_box.upper[k] = own.at("neutral_box").at(1).at(k).get<double>();
-    }
-  // Weights channels move the nodes that hold meshes; the rig's own node is noted beside them.
-  for (std::size_t a = 0; a < model.animations.size(); ++a)
-    for (std::size_t c = 0; c < model.animations[a].channels.size(); ++c) {
-      auto& channel = model.animations[a].channels[c];
-      if (channel.extras.IsObject() && channel.extras.Has("node")) channel.target_node = channel.extras.Get("node").GetNumberAsInt();
-    }
-  read_clips();
-  std::vector<Clip> clips = std::move(rig.clips);
-  rig.clips.clear();
-  std::size_t next = 0;
-  for (const auto& entry : own.at("clips")) {
-    Clip clip;
-    if (!entry.contains("empty")) {
-      index_in(static_cast<int>(next), clips.size(), "extras.moomill", "clip");
-      clip = std::move(clips[next++]);
-    }
-    clip.name = entry.at("name").get<std::string>();
-    clip.duration = entry.at("duration").get<double>();
-    rig.clips.push_back(std::move(clip));
-  }
-}
-
-void Reader::read_own_mesh(const nlohmann::json& about, int mesh) {
-  index_in(mesh, model.meshes.size(), "extras.moomill", "mesh");
-  if (model.meshes[mesh].primitives.empty()) fail("mesh {} has no primitives", mesh);
-  const auto& attributes = model.meshes[mesh].primitives[0].attributes;
-  Surface& s = rig.surface;
-  MeshPart part{.name = about.at("name").get<std::string>()};
-  part.first_vertex = static_cast<std::uint32_t>(s.rest.size());
-  part.first_triangle = static_cast<std::uint32_t>(s.triangles.size());
-  part.skinned = about.at("skinned").get<bool>();
-  part.node = about.at("node").get<int>();
-  const auto read = [&](const std::string& key, int width) {
-    const auto it = attributes.find(key);
-    return it == attributes.end() ? Values{} : values(it->second, key, {width});
-  };
-  const Values positions = read("POSITION", 3);
-  const std::size_t count = positions.count;
-  part.vertex_count = static_cast<std::uint32_t>(count);
-  const auto vectors = [&](const Values& v, auto& out, bool turn) {
-    if (v.count != 0 && v.count != count) fail("mesh '{}' has attributes of different lengths", part.name);
-    for (std::size_t i = 0; i < v.count; ++i) {
-      const dvec3 x(v[i][0], v[i][1], v[i][2]);
-      out.push_back(vec3(turn ? to_z_up(x) : x));
-    }
-  };
-  vectors(positions, s.rest, true);
-  vectors(read("NORMAL", 3), s.normals, true);
-  vectors(read("COLOR_0", 3), s.colors, false);
-  vectors(read("_NNOPCS", 3), s.nnopcs, false);
-  const Values uvs = read("TEXCOORD_0", 2);
-  for (std::size_t i = 0; i < uvs.count; ++i) s.uvs.push_back(vec2(uvs[i][0], uvs[i][1]));
-  std::vector<std::pair<Values, Values>> sets;
-  for (int n = 0; attributes.count(fmt::format("JOINTS_{}", n)); ++n) {
-    sets.emplace_back(read(fmt::format("JOINTS_{}", n), 4), read(fmt::format("WEIGHTS_{}", n), 4));
-    if (sets.back().first.count != count || sets.back().second.count != count)
-      fail("mesh '{}' has attributes of different lengths", part.name);
-  }
-  const std::vector<std::uint32_t> bones =
-      about.contains("bones") ? about.at("bones").get<std::vector<std::uint32_t>>() : std::vector<std::uint32_t>();
-  for (std::size_t i = 0; i < count; ++i) {
-    for (const auto& [joint, weight] : sets)
-      for (int k = 0; k < 4; ++k) {
-        if (weight[i][k] == 0) continue;
-        auto bone = static_cast<std::uint32_t>(std::clamp(joint[i][k], 0.0, 1e6));
-        if (!bones.empty()) {
-          index_in(static_cast<int>(bone), bones.size(), "a vertex", "joint");
-          bone = bones[bone];
-        }
-        rig.influences.push_back({bone, static_cast<float>(weight[i][k])});
-      }
-    rig.influence_begin.push_back(static_cast<std::uint32_t>(rig.influences.size()));
-  }
-  const Values corners = values(about.at("triangles").get<int>(), "triangles", {1});
-  const Values materials = values(about.at("materials").get<int>(), "materials", {1});
-  const Values parts = values(about.at("parts").get<int>(), "parts", {1});
-  part.triangle_count = static_cast<std::uint32_t>(corners.count / 3);
-  if (corners.count % 3 || materials.count * 3 != corners.count || parts.count != materials.count)
-    fail("mesh '{}' has lists of triangles of different lengths", part.name);
-  for (std::size_t t = 0; t < materials.count; ++t) {
-    uvec3 triangle;
-    for (int k = 0; k < 3; ++k) {
-      const double corner = corners.data[3 * t + k];
-      if (!(corner >= 0 && corner < static_cast<double>(count))) fail("a triangle of mesh '{}' has no such vertex", part.name);
-      triangle[k] = part.first_vertex + static_cast<std::uint32_t>(corner);
-    }
-    s.triangles.push_back(triangle);
-    s.materials.push_back(static_cast<std::uint16_t>(std::clamp(materials.data[t], 0.0, 65535.0)));
-    s.parts.push_back(static_cast<std::uint16_t>(std::clamp(parts.data[t], 0.0, 65535.0)));
-  }
-  rig.meshes.push_back(std::move(part));
-}
-
-Rig read(const std::filesystem::path& path, const LoadOptions& options) {
-  Reader r;
-  r.file = path.string();
-  r.container = open_container(path);
-  r.parse();
-  r.rig.source = r.file;
-  r.rig.warnings = r.container.warnings;
+static Rig read(const std::filesystem::path& path, const LoadOptions& options) {
+  Reader r(path);
   if (const auto extras = r.container.json.find("extras");
       extras != r.container.json.end() && extras->is_object() && extras->contains("moomill")) {
     try {
@@ -918,7 +777,6 @@ Rig read(const std::filesystem::path& path, const LoadOptions& options) {
   return std::move(r.rig);
 }
 
-}  // namespace
 }  // namespace gltf
 
 Rig load_gltf(const std::filesystem::path& file, const LoadOptions& options) {

@@ -39,7 +39,8 @@ Chunks split_glb(const std::vector<std::uint8_t>& bytes, const std::string& file
     if (size > total - at)
       input_error("{}: chunk {} of the .glb has {} bytes but only {} are left, export it again", file, index, size,
                   total - at);
-    if (index == 0 && type != 0x4E4F534A) input_error("{}: the first chunk of the .glb is not JSON, export it again", file);
+    if (index == 0 && type != 0x4E4F534A)
+      input_error("{}: the first chunk of the .glb is not JSON, export it again", file);
     if (index == 0) chunks.text = &bytes[at], chunks.text_size = size;
     if (index == 1 && type == 0x004E4942) chunks.binary = bytes.data() + at, chunks.binary_size = size;
     at += size;
@@ -135,7 +136,9 @@ std::vector<std::uint8_t> decode_data_uri(const std::string& uri) {
   return {plain.begin(), plain.end()};
 }
 
-bool is_data_uri(const std::string& uri) { return uri.starts_with("data:"); }
+bool is_data_uri(const std::string& uri) {
+  return uri.starts_with("data:");
+}
 
 }  // namespace
 
@@ -203,7 +206,8 @@ Container open_container(const std::filesystem::path& path) {
       const std::filesystem::path source = path.parent_path() / decode_uri(uri);
       std::error_code error;
       if (!std::filesystem::is_regular_file(source, error))
-        input_error("{}: buffers[{}] is in '{}', which is not there, put it beside the model", file, i, decode_uri(uri));
+        input_error("{}: buffers[{}] is in '{}', which is not there, put it beside the model", file, i,
+                    decode_uri(uri));
       data = read_bytes(source);
       where = "'" + decode_uri(uri) + "'";
     }
@@ -228,7 +232,8 @@ Container open_container(const std::filesystem::path& path) {
       if (std::filesystem::is_regular_file(source, error))
         image.bytes = read_bytes(source);
       else
-        container.warnings.push_back(fmt::format("texture '{}' is not there, its material goes without", decode_uri(uri)));
+        container.warnings.push_back(
+            fmt::format("texture '{}' is not there, its material goes without", decode_uri(uri)));
     }
     if (image.name.empty()) image.name = fmt::format("image {}", i);
     container.images.push_back(std::move(image));

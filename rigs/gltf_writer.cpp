@@ -67,7 +67,8 @@ struct Writer {
     json lower = json::array(), upper = json::array();
     for (std::size_t k = 0; k < width; ++k) {
       float least = values[k], most = values[k];
-      for (std::size_t i = k; i < values.size(); i += width) least = std::min(least, values[i]), most = std::max(most, values[i]);
+      for (std::size_t i = k; i < values.size(); i += width)
+        least = std::min(least, values[i]), most = std::max(most, values[i]);
       lower.push_back(least);
       upper.push_back(most);
     }
@@ -133,7 +134,9 @@ void Writer::write_materials() {
     const auto starts = [&](const char* magic, std::size_t size) {
       return image.bytes.size() >= size && std::memcmp(image.bytes.data(), magic, size) == 0;
     };
-    const char* mime = starts("\x89PNG", 4) ? "image/png" : starts("\xFF\xD8", 2) ? "image/jpeg" : "application/octet-stream";
+    const char* mime = starts("\x89PNG", 4)    ? "image/png"
+                       : starts("\xFF\xD8", 2) ? "image/jpeg"
+                                               : "application/octet-stream";
     document["images"].push_back(
         {{"name", image.name}, {"mimeType", mime}, {"bufferView", view(image.bytes.data(), image.bytes.size())}});
   }
@@ -142,7 +145,8 @@ void Writer::write_materials() {
                 {"roughnessFactor", m.roughness},
                 {"metallicFactor", m.metallic}};
     if (m.base_texture.image >= 0) pbr["baseColorTexture"] = texture(m.base_texture);
-    if (m.metallic_roughness_texture.image >= 0) pbr["metallicRoughnessTexture"] = texture(m.metallic_roughness_texture);
+    if (m.metallic_roughness_texture.image >= 0)
+      pbr["metallicRoughnessTexture"] = texture(m.metallic_roughness_texture);
     json entry = {{"name", m.name}, {"pbrMetallicRoughness", std::move(pbr)}};
     if (m.normal_texture.image >= 0) {
       entry["normalTexture"] = texture(m.normal_texture);
@@ -152,7 +156,8 @@ void Writer::write_materials() {
     document["materials"].push_back(std::move(entry));
   }
   for (const json& entry : document["materials"])
-    if (entry.dump().find("KHR_texture_transform") != std::string::npos) document["extensionsUsed"] = {"KHR_texture_transform"};
+    if (entry.dump().find("KHR_texture_transform") != std::string::npos)
+      document["extensionsUsed"] = {"KHR_texture_transform"};
 }
 
 std::vector<int> used_bones(const Rig& rig, const MeshPart& part) {
@@ -202,9 +207,12 @@ void Writer::write_meshes(json& own) {
 
     json attributes = {{"POSITION", bounded(flat(&s.rest[v0], count, true), "VEC3", 3, vertices_target)},
                        {"NORMAL", accessor(flat(&s.normals[v0], count, true), "VEC3", f32, 3, vertices_target)}};
-    if (!s.uvs.empty()) attributes["TEXCOORD_0"] = accessor(flat(&s.uvs[v0], count, false), "VEC2", f32, 2, vertices_target);
-    if (!s.colors.empty()) attributes["COLOR_0"] = accessor(flat(&s.colors[v0], count, false), "VEC3", f32, 3, vertices_target);
-    if (!s.nnopcs.empty()) attributes["_NNOPCS"] = accessor(flat(&s.nnopcs[v0], count, false), "VEC3", f32, 3, vertices_target);
+    if (!s.uvs.empty())
+      attributes["TEXCOORD_0"] = accessor(flat(&s.uvs[v0], count, false), "VEC2", f32, 2, vertices_target);
+    if (!s.colors.empty())
+      attributes["COLOR_0"] = accessor(flat(&s.colors[v0], count, false), "VEC3", f32, 3, vertices_target);
+    if (!s.nnopcs.empty())
+      attributes["_NNOPCS"] = accessor(flat(&s.nnopcs[v0], count, false), "VEC3", f32, 3, vertices_target);
     std::uint32_t most = 1;
     for (std::size_t v = v0; v < v0 + count; ++v)
       most = std::max(most, rig.influence_begin[v + 1] - rig.influence_begin[v]);
@@ -297,14 +305,19 @@ void Writer::write_clips(json& own) {
           for (std::size_t i = 0; i + 3 < v.size(); i += 4)
             for (const double x : {v[i], v[i + 2], -v[i + 1], v[i + 3]}) values.push_back(static_cast<float>(x));
           break;
-        case ChannelPath::weights: values.assign(v.begin(), v.end()); break;
+        case ChannelPath::weights:
+          values.assign(v.begin(), v.end());
+          break;
       }
       const bool weights = channel.path == ChannelPath::weights;
       const std::size_t width = weights ? 1 : channel.path == ChannelPath::rotation ? 4 : 3;
-      animation["samplers"].push_back(
-          {{"input", bounded(times, "SCALAR", 1)},
-           {"output", accessor(values, weights ? "SCALAR" : width == 4 ? "VEC4" : "VEC3", f32, width)},
-           {"interpolation", interpolations[static_cast<int>(channel.interpolation)]}});
+      animation["samplers"].push_back({{"input", bounded(times, "SCALAR", 1)},
+                                       {"output", accessor(values,
+                                                           weights      ? "SCALAR"
+                                                           : width == 4 ? "VEC4"
+                                                                        : "VEC3",
+                                                           f32, width)},
+                                       {"interpolation", interpolations[static_cast<int>(channel.interpolation)]}});
       const std::size_t sampler = animation["samplers"].size() - 1;
       // Weights move the nodes that hold the meshes here; the rig's own node is noted with the first of them.
       std::vector<std::size_t> holders;
@@ -313,8 +326,9 @@ void Writer::write_clips(json& own) {
           if (rig.meshes[m].node == channel.node) holders.push_back(rig.nodes.size() + m);
       for (std::size_t h = 0; h < std::max<std::size_t>(holders.size(), 1); ++h) {
         json entry = {{"sampler", sampler},
-                      {"target", {{"node", weights && !holders.empty() ? holders[h] : channel.node},
-                                  {"path", paths[static_cast<int>(channel.path)]}}}};
+                      {"target",
+                       {{"node", weights && !holders.empty() ? holders[h] : channel.node},
+                        {"path", paths[static_cast<int>(channel.path)]}}}};
         entry["extras"]["node"] = h == 0 ? channel.node : -1;
         animation["channels"].push_back(std::move(entry));
       }

@@ -41,7 +41,9 @@ bool MeshChoice::takes(const std::string& node, const std::string& mesh, bool sk
   known_.push_back(node);
   if (mesh != node) known_.push_back(mesh);
   const auto& wanted = options_.include_meshes;
-  const auto asked = [&](const std::string& name) { return std::find(wanted.begin(), wanted.end(), name) != wanted.end(); };
+  const auto asked = [&](const std::string& name) {
+    return std::find(wanted.begin(), wanted.end(), name) != wanted.end();
+  };
   const bool take = wanted.empty() ? skinned || !any_skinned_ : asked(node) || asked(mesh);
   left_out_ += !take;
   return take;

@@ -22,7 +22,9 @@ dquat slerp_shortest(dquat a, dquat b, double t) {
   return unit((a * std::sin((1 - t) * angle) + b * std::sin(t * angle)) / std::sin(angle));
 }
 
-dquat quat_at(const double* v) { return dquat(v[3], v[0], v[1], v[2]); }
+dquat quat_at(const double* v) {
+  return dquat(v[3], v[0], v[1], v[2]);
+}
 
 // Values of a channel at a time; `width` values per key.
 std::vector<double> sample_channel(const Channel& channel, double time, std::size_t width) {
@@ -47,8 +49,8 @@ std::vector<double> sample_channel(const Channel& channel, double time, std::siz
       result[i] = (1 - t) * value(key)[i] + t * value(next)[i];
       continue;
     }
-    const double out_tangent = value(key)[width + i];                        // of this key
-    const double in_tangent = channel.values[next * stride + i];             // of the next
+    const double out_tangent = value(key)[width + i];             // of this key
+    const double in_tangent = channel.values[next * stride + i];  // of the next
     result[i] = (2 * t3 - 3 * t2 + 1) * value(key)[i] + span * (t3 - 2 * t2 + t) * out_tangent +
                 (3 * t2 - 2 * t3) * value(next)[i] + span * (t3 - t2) * in_tangent;
   }
@@ -72,8 +74,7 @@ LocalTransform decompose(const dmat4& matrix) {
   if (glm::determinant(m) < 0) local.scale.x = -local.scale.x;
   // Gram-Schmidt, longest axis first; axes that vanish are completed from the others.
   int order[3] = {0, 1, 2};
-  std::stable_sort(order, order + 3,
-                   [&](int a, int b) { return std::abs(local.scale[a]) > std::abs(local.scale[b]); });
+  std::stable_sort(order, order + 3, [&](int a, int b) { return std::abs(local.scale[a]) > std::abs(local.scale[b]); });
   if (!(std::abs(local.scale[order[0]]) > 0) || !all_finite(local.scale)) return local;
   dvec3 axis[3];
   const auto direction = [&](int i) { return m[i] / local.scale[i]; };
@@ -85,7 +86,9 @@ LocalTransform decompose(const dmat4& matrix) {
   }
   if (!(glm::length(second) > 1e-9)) {
     const dvec3& a = axis[order[0]];
-    second = glm::cross(a, std::abs(a.x) < 0.6 ? dvec3(1, 0, 0) : std::abs(a.y) < 0.6 ? dvec3(0, 1, 0) : dvec3(0, 0, 1));
+    second = glm::cross(a, std::abs(a.x) < 0.6   ? dvec3(1, 0, 0)
+                           : std::abs(a.y) < 0.6 ? dvec3(0, 1, 0)
+                                                 : dvec3(0, 0, 1));
   }
   axis[order[1]] = glm::normalize(second);
   // The third completes a right-handed frame in the order x, y, z.
@@ -116,8 +119,7 @@ Pose rest_pose(const Rig& rig) {
   Pose pose = bind_pose(rig);
   std::vector<const Bone*> bone_of(rig.nodes.size(), nullptr);
   for (const Bone& bone : rig.bones)
-    if (!bone_of[bone.node] && std::abs(glm::determinant(dmat3(bone.inverse_bind))) > 1e-30)
-      bone_of[bone.node] = &bone;
+    if (!bone_of[bone.node] && std::abs(glm::determinant(dmat3(bone.inverse_bind))) > 1e-30) bone_of[bone.node] = &bone;
   std::vector<dmat4> world(rig.nodes.size());
   for (std::size_t i = 0; i < rig.nodes.size(); ++i) {
     const int parent = rig.nodes[i].parent;

@@ -243,12 +243,14 @@ void check_weights(Rig& rig) {
       rig.influences[i].weight = static_cast<float>(rig.influences[i].weight / sum);
   }
   if (mended)
-    rig.warnings.push_back(fmt::format("the weights of {} of {} vertices did not sum to 1 and were normalised", mended,
-                                       vertices));
+    rig.warnings.push_back(
+        fmt::format("the weights of {} of {} vertices did not sum to 1 and were normalised", mended, vertices));
 }
 
 // A key under which vertices at the same place meet; -0 and 0 are the same place.
-std::array<float, 3> place_of(const vec3& p) { return {p.x + 0.0f, p.y + 0.0f, p.z + 0.0f}; }
+std::array<float, 3> place_of(const vec3& p) {
+  return {p.x + 0.0f, p.y + 0.0f, p.z + 0.0f};
+}
 
 // Normals where the file has none: weighted by angle (Thuermer and Wuethrich 1998) over all triangles that meet at a
 // place, so that UV seams do not show. A mesh that shares no vertex gets flat ones, as glTF asks.
@@ -301,8 +303,10 @@ void fill_normals(Rig& rig) {
   }
   for (vec3& normal : s.normals) {
     const double length = glm::length(dvec3(normal));
-    if (!(length > 0)) normal = vec3(0, 0, 1);
-    else if (std::abs(length - 1) > 1e-6) normal = vec3(dvec3(normal) / length);
+    if (!(length > 0))
+      normal = vec3(0, 0, 1);
+    else if (std::abs(length - 1) > 1e-6)
+      normal = vec3(dvec3(normal) / length);
   }
   if (filled) rig.warnings.push_back(fmt::format("{} of {} vertices had no normal and got one", filled, s.rest.size()));
 }
@@ -328,7 +332,8 @@ void name_parts(Rig& rig) {
       if (!part.skinned) continue;
       std::map<std::uint32_t, double> weight;
       for (int k = 0; k < 3; ++k)
-        for (std::uint32_t i = rig.influence_begin[s.triangles[t][k]]; i < rig.influence_begin[s.triangles[t][k] + 1]; ++i)
+        for (std::uint32_t i = rig.influence_begin[s.triangles[t][k]]; i < rig.influence_begin[s.triangles[t][k] + 1];
+             ++i)
           weight[static_cast<std::uint32_t>(rig.bones[rig.influences[i].bone].node)] += rig.influences[i].weight;
       double most = -1;
       for (const auto& [node, w] : weight)
@@ -376,7 +381,8 @@ void scale_rig(Rig& rig, double factor) {
     node.translation *= factor;
     if (node.matrix) (*node.matrix)[3] = dvec4(dvec3((*node.matrix)[3]) * factor, (*node.matrix)[3].w);
   }
-  for (Bone& bone : rig.bones) bone.inverse_bind[3] = dvec4(dvec3(bone.inverse_bind[3]) * factor, bone.inverse_bind[3].w);
+  for (Bone& bone : rig.bones)
+    bone.inverse_bind[3] = dvec4(dvec3(bone.inverse_bind[3]) * factor, bone.inverse_bind[3].w);
   for (vec3& p : rig.surface.rest) p = vec3(dvec3(p) * factor);
   for (MorphTarget& morph : rig.morphs)
     for (vec3& p : morph.positions) p = vec3(dvec3(p) * factor);

@@ -7,7 +7,8 @@
 namespace moomill {
 namespace {
 
-constexpr std::size_t chunk = 2048;  // vertices a task does; fixed, and each vertex is its own sum, so threads do not matter
+constexpr std::size_t chunk =
+    2048;  // vertices a task does; fixed, and each vertex is its own sum, so threads do not matter
 
 // The upper three rows of an affine matrix, column after column: twelve doubles that blend in three AVX operations.
 struct alignas(32) Affine {
@@ -99,7 +100,7 @@ void skin_linear(const Rig& rig, const std::vector<Affine>& bones, const Rest& r
 // A bone matrix as a rigid motion after a stretch: B = rigid * stretch. The stretch leaves the joint's place in the
 // bind pose fixed, so that scaling a bone does not shift the centre that blended rotations turn about.
 struct DualQuaternion {
-  dquat real{1, 0, 0, 0}, dual{0, 0, 0, 0};
+  alignas(32) double q[8] = {};  // real w, x, y, z, dual w, x, y, z: they blend in two AVX operations
   Affine stretch;
   bool rigid = true;
 };
@@ -140,8 +141,10 @@ DualQuaternion dual_quaternion(const dmat4& bone, const dmat4& inverse_bind) {
   for (int i = 0; i < 3; ++i) off = std::max(off, glm::length(stretch[i] - dmat3(1.0)[i]));
   result.rigid = off < 1e-9;
   const dvec3 translation = dvec3(bone[3]) - rotation * dvec3(about_joint[3]);
-  result.real = glm::normalize(glm::quat_cast(rotation));
-  result.dual = 0.5 * (dquat(0, translation.x, translation.y, translation.z) * result.real);
+  const dquat real = glm::normalize(glm::quat_cast(rotation));
+  const dquat dual = 0.5 * (dquat(0, translation.x, translation.y, translation.z) * real);
+  const double parts[8] = {real.w, real.x, real.y, real.z, dual.w, dual.x, dual.y, dual.z};
+  std::copy(parts, parts + 8, result.q);
   return result;
 }
 
@@ -153,30 +156,35 @@ void skin_dual_quaternion(const Rig& rig, const std::vector<DualQuaternion>& bon
     std::uint32_t pivot = 0;
     for (std::uint32_t i = 1; i < count; ++i)
       if (influence[i].weight > influence[pivot].weight) pivot = i;
-    const dquat& reference = bones[influence[pivot].bone].real;
-    dquat real(0, 0, 0, 0), dual(0, 0, 0, 0);
+    const double* reference = bones[influence[pivot].bone].q;
+    alignas(32) double blend[8] = {};
     Affine stretch;
     for (std::uint32_t i = 0; i < count; ++i) {
       const DualQuaternion& bone = bones[influence[i].bone];
       const double weight = influence[i].weight * inverse_sum;
       // q and -q are the same rotation: take the one on the side of the vertex's strongest bone.
-      const double signed_weight = glm::dot(bone.real, reference) < 0 ? -weight : weight;
-      real += bone.real * signed_weight;
-      dual += bone.dual * signed_weight;
+      double cosine = 0;
+      for (int k = 0; k < 4; ++k) cosine += bone.q[k] * reference[k];
+      const double signed_weight = cosine < 0 ? -weight : weight;
+      for (int k = 0; k < 8; ++k) blend[k] += signed_weight * bone.q[k];
       if (!rigid) stretch.add(weight, bone.stretch);
     }
-    const double length = std::sqrt(glm::dot(real, real));
-    real /= length;
-    dual /= length;
+    double squared = 0;
+    for (int k = 0; k < 4; ++k) squared += blend[k] * blend[k];
+    const double inverse_length = 1 / std::sqrt(squared);
+    for (double& x : blend) x *= inverse_length;
     dvec3 position = rest.position(v), normal = rest.normal(v);
     if (!rigid) {
       position = stretch.point(position);
       normal = transform_normal(stretch, normal);
     }
-    const dquat translation = 2.0 * (dual * glm::conjugate(real));
-    posed.positions[v] = vec3(real * position + dvec3(translation.x, translation.y, translation.z));
+    const double w = blend[0], dual_w = blend[4];
+    const dvec3 axis(blend[1], blend[2], blend[3]), dual(blend[5], blend[6], blend[7]);
+    const auto rotate = [&](const dvec3& p) { return p + 2.0 * glm::cross(axis, glm::cross(axis, p) + w * p); };
+    const dvec3 translation = 2.0 * (w * dual - dual_w * axis + glm::cross(axis, dual));
+    posed.positions[v] = vec3(rotate(position) + translation);
     dvec3 unit = normal;
-    normalize_to(real * normal, unit);
+    normalize_to(rotate(normal), unit);
     posed.normals[v] = vec3(unit);
   });
 }

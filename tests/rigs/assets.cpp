@@ -65,8 +65,8 @@ TEST_CASE("The same sheep from FBX and from glTF has the same rest pose") {
   const double size = bounds(gltf.surface.rest).diagonal();
   const double there = distance(fbx.surface.rest, gltf.surface.rest) / size;
   const double back = distance(gltf.surface.rest, fbx.surface.rest) / size;
-  MESSAGE("sheep, FBX to glTF ", there, ", glTF to FBX ", back, " of its size (", size, " m), ", fbx.surface.rest.size(),
-          " and ", gltf.surface.rest.size(), " vertices");
+  MESSAGE("sheep, FBX to glTF ", there, ", glTF to FBX ", back, " of its size (", size, " m), ",
+          fbx.surface.rest.size(), " and ", gltf.surface.rest.size(), " vertices");
   CHECK(fbx.surface.triangles.size() == gltf.surface.triangles.size());
   CHECK(there < 1e-4);
   CHECK(back < 1e-4);

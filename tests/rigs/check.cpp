@@ -27,7 +27,8 @@ Species tube_species() {
   species.rig = fixtures::tube();
   bake_nnopcs(species.rig.surface, species.rig.surface.rest, NnopcsNormalization::box);
   species.neutral = bind_pose(species.rig);
-  species.keypoints = {{.name = "left", .anchor = JointAnchor{0, {0.1, 0, 0.5}}}, {.name = "right", .anchor = JointAnchor{0, {-0.1, 0, 0.5}}}};
+  species.keypoints = {{.name = "left", .anchor = JointAnchor{0, {0.1, 0, 0.5}}},
+                       {.name = "right", .anchor = JointAnchor{0, {-0.1, 0, 0.5}}}};
   species.pairs = {{0, 1}};
   species.edges = {{0, 1}};
   species.limits = {{.node = 1, .lower_deg = {-10, 0, 0}, .upper_deg = {10, 0, 0}}};
@@ -40,7 +41,8 @@ Species tube_species() {
 TEST_CASE("An open tube: two rims of borders, no UVs, nothing wrong") {
   const Rig rig = fixtures::tube();
   const auto findings = check_rig(rig);
-  CHECK(finds(findings, "32 of 976 edges have a triangle on one side only", suspicious));  // 2 x 16 of 21 * 16 + 20 * 32
+  CHECK(
+      finds(findings, "32 of 976 edges have a triangle on one side only", suspicious));  // 2 x 16 of 21 * 16 + 20 * 32
   CHECK(finds(findings, "no UVs", suspicious));
   for (const Finding& f : findings) CHECK(f.level == suspicious);
   CHECK(findings.size() == 2);
@@ -48,9 +50,10 @@ TEST_CASE("An open tube: two rims of borders, no UVs, nothing wrong") {
 
 TEST_CASE("Faults put into a rig are found and counted") {
   Rig rig = fixtures::tube();
-  rig.surface.triangles[5] = uvec3(rig.surface.triangles[5].x);            // no area
-  rig.surface.triangles[7] = uvec3(rig.surface.triangles[7].x, rig.surface.triangles[7].z, rig.surface.triangles[7].y);  // turned over
-  rig.surface.triangles.push_back(rig.surface.triangles[100]);             // three triangles at its edges
+  rig.surface.triangles[5] = uvec3(rig.surface.triangles[5].x);  // no area
+  rig.surface.triangles[7] =
+      uvec3(rig.surface.triangles[7].x, rig.surface.triangles[7].z, rig.surface.triangles[7].y);  // turned over
+  rig.surface.triangles.push_back(rig.surface.triangles[100]);  // three triangles at its edges
   rig.surface.materials.push_back(0);
   rig.surface.parts.push_back(0);
   rig.influences[3].weight = 0.5f;
@@ -114,8 +117,9 @@ TEST_CASE("Faults of a species are found") {
 
 TEST_CASE("The description names joints, clips, sizes, materials and parts") {
   const std::string text = describe_rig(fixtures::awkward_rig());
-  for (const char* part : {"    a *", "nod: 1.000 s, 4 channels", "12 vertices, 5 triangles", "at most 5 joints per vertex",
-                           "hide: colour 1.000", "base hide", "head: 2 triangles", "smile"}) {
+  for (const char* part :
+       {"    a *", "nod: 1.000 s, 4 channels", "12 vertices, 5 triangles", "at most 5 joints per vertex",
+        "hide: colour 1.000", "base hide", "head: 2 triangles", "smile"}) {
     INFO(part, " in\n", text);
     CHECK(text.find(part) != std::string::npos);
   }
@@ -148,7 +152,8 @@ TEST_CASE("finish_rig sorts nodes, makes names unique, names parts, and refuses 
   refuses([](Rig& r) { r.surface.triangles[3].y = 9999; }, "vertex 9999");
   refuses([](Rig& r) { r.surface.triangles.clear(); }, "no triangles");
   refuses([](Rig& r) { r.surface.uvs.resize(3); }, "3 UVs");
-  refuses([](Rig& r) { r.surface.rest[4].z = std::numeric_limits<float>::infinity(); }, "vertex 4 of mesh 'tube' is not finite");
+  refuses([](Rig& r) { r.surface.rest[4].z = std::numeric_limits<float>::infinity(); },
+          "vertex 4 of mesh 'tube' is not finite");
   refuses([](Rig& r) { r.influences[2].bone = 5; }, "bound to joint 5");
   refuses([](Rig& r) { r.influence_begin[3] = 0; }, "table of influences");
   refuses([](Rig& r) { r.meshes[0].vertex_count--; }, "mesh");
@@ -166,13 +171,22 @@ TEST_CASE("Smooth normals of a mesh without normals point outwards across seams"
 
 TEST_CASE("Collada: centimetres and axes are taken out of the root, node by node") {
   const auto dae = [](const char* unit, const char* up) {
-    return std::string("<?xml version=\"1.0\"?><COLLADA xmlns=\"http://www.collada.org/2005/11/COLLADASchema\" version=\"1.4.1\"><asset>") +
-           unit + "<up_axis>" + up + "</up_axis></asset><library_geometries><geometry id=\"g\" name=\"g\"><mesh><source id=\"p\">"
-           "<float_array id=\"pa\" count=\"9\">0 0 0 100 0 0 0 0 200</float_array><technique_common><accessor source=\"#pa\" count=\"3\" stride=\"3\">"
-           "<param name=\"X\" type=\"float\"/><param name=\"Y\" type=\"float\"/><param name=\"Z\" type=\"float\"/></accessor></technique_common></source>"
-           "<vertices id=\"v\"><input semantic=\"POSITION\" source=\"#p\"/></vertices><triangles count=\"1\"><input semantic=\"VERTEX\" source=\"#v\" offset=\"0\"/>"
-           "<p>0 1 2</p></triangles></mesh></geometry></library_geometries><library_visual_scenes><visual_scene id=\"s\" name=\"s\"><node id=\"n\" name=\"n\">"
-           "<translate>10 20 30</translate><instance_geometry url=\"#g\"/></node></visual_scene></library_visual_scenes><scene><instance_visual_scene url=\"#s\"/></scene></COLLADA>";
+    return std::string(
+               "<?xml version=\"1.0\"?><COLLADA xmlns=\"http://www.collada.org/2005/11/COLLADASchema\" "
+               "version=\"1.4.1\"><asset>") +
+           unit + "<up_axis>" + up +
+           "</up_axis></asset><library_geometries><geometry id=\"g\" name=\"g\"><mesh><source id=\"p\">"
+           "<float_array id=\"pa\" count=\"9\">0 0 0 100 0 0 0 0 200</float_array><technique_common><accessor "
+           "source=\"#pa\" count=\"3\" stride=\"3\">"
+           "<param name=\"X\" type=\"float\"/><param name=\"Y\" type=\"float\"/><param name=\"Z\" "
+           "type=\"float\"/></accessor></technique_common></source>"
+           "<vertices id=\"v\"><input semantic=\"POSITION\" source=\"#p\"/></vertices><triangles count=\"1\"><input "
+           "semantic=\"VERTEX\" source=\"#v\" offset=\"0\"/>"
+           "<p>0 1 2</p></triangles></mesh></geometry></library_geometries><library_visual_scenes><visual_scene "
+           "id=\"s\" name=\"s\"><node id=\"n\" name=\"n\">"
+           "<translate>10 20 30</translate><instance_geometry "
+           "url=\"#g\"/></node></visual_scene></library_visual_scenes><scene><instance_visual_scene "
+           "url=\"#s\"/></scene></COLLADA>";
   };
   const TempFolder folder;
   const auto load = [&](const char* unit, const char* up) {
@@ -194,8 +208,9 @@ TEST_CASE("Collada: centimetres and axes are taken out of the root, node by node
 
 TEST_CASE("OBJ: texture coordinates grow downwards, MTL textures are found, missing ones are a warning") {
   const TempFolder folder;
-  std::ofstream(folder.path / "a.obj") << "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 0.75\nvt 0 1\n"
-                                          "usemtl hide\nf 1/1 2/2 3/3 4/4\n";
+  std::ofstream(folder.path / "a.obj")
+      << "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 0.75\nvt 0 1\n"
+         "usemtl hide\nf 1/1 2/2 3/3 4/4\n";
   std::ofstream(folder.path / "a.mtl") << "newmtl hide\nKd 0.5 0.25 1\nmap_Kd some\\folder\\hide.png\n";
   const auto texture = [](const Rig& rig) { return rig.materials.at(rig.surface.materials.at(0)).base_texture.image; };
   Rig rig = load_rig(folder.path / "a.obj");

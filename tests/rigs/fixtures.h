@@ -83,13 +83,16 @@ inline Rig awkward_rig() {
   dmat4 shear(1.0);
   shear[1][0] = 0.3;
   shear[3] = dvec4(0.1, -0.2, 1.0 / 3, 1);
-  rig.nodes = {{.name = "root", .translation = {0.1, 1.0 / 3, -0.7}, .rotation = glm::angleAxis(0.3, glm::normalize(dvec3(1, 2, 3)))},
+  rig.nodes = {{.name = "root",
+                .translation = {0.1, 1.0 / 3, -0.7},
+                .rotation = glm::angleAxis(0.3, glm::normalize(dvec3(1, 2, 3)))},
                {.name = "a", .parent = 0, .translation = {0, 0, 0.25}, .scale = {1, 1.5, 0.75}},
                {.name = "b", .parent = 1, .matrix = shear},
                {.name = "c", .parent = 0},
                {.name = "prop", .translation = {5, 0, 0}}};
   for (int i = 0; i < 6; ++i) {
-    LocalTransform local{.translation = {0.1 * i, 1.0 / (i + 3), 0.2}, .rotation = glm::angleAxis(0.1 * i, dvec3(0, 1, 0))};
+    LocalTransform local{.translation = {0.1 * i, 1.0 / (i + 3), 0.2},
+                         .rotation = glm::angleAxis(0.1 * i, dvec3(0, 1, 0))};
     rig.bones.push_back({i % 5, compose(local)});
   }
   rig.influence_begin = {0};
@@ -110,21 +113,32 @@ inline Rig awkward_rig() {
   s.materials = {1, 0, 1, 0, 1};
   s.parts = {2, 0, 1, 2, 0};
   rig.part_names = {"head", "leg", "tail"};
-  rig.meshes = {{.name = "body", .vertex_count = 9, .triangle_count = 4, .skinned = true, .node = 3},
-                {.name = "horn", .first_vertex = 9, .vertex_count = 3, .first_triangle = 4, .triangle_count = 1, .node = 4}};
+  rig.meshes = {
+      {.name = "body", .vertex_count = 9, .triangle_count = 4, .skinned = true, .node = 3},
+      {.name = "horn", .first_vertex = 9, .vertex_count = 3, .first_triangle = 4, .triangle_count = 1, .node = 4}};
   rig.images = {{.name = "hide", .bytes = {0x89, 'P', 'N', 'G', 1, 2, 3}}};
   rig.materials = {{.name = "plain", .base_color = {0.1f, 0.2f, 0.3f}, .roughness = 0.7f},
                    {.name = "hide", .alpha_mask = true, .alpha_cutoff = 0.3f}};
-  rig.materials[1].base_texture = {.image = 0, .wrap_u = Wrap::mirror, .offset = {0.1f, 0.2f}, .scale = {2, 3}, .rotation = 0.4f};
+  rig.materials[1].base_texture = {
+      .image = 0, .wrap_u = Wrap::mirror, .offset = {0.1f, 0.2f}, .scale = {2, 3}, .rotation = 0.4f};
   MorphTarget smile{.name = "smile", .positions = std::vector<vec3>(9, vec3(0.01f, 0.02f, 0.03f))};
   rig.morphs = {smile};
   rig.morph_weights = {0.25};
   rig.morph_node = {3};
   rig.morph_index = {0};
   Clip clip{.name = "nod", .duration = 1};
-  clip.channels.push_back({.node = 1, .path = ChannelPath::rotation, .times = {0, 1}, .values = {0, 0, 0, 1, 0.6, 0, 0, 0.8}});
-  clip.channels.push_back({.node = 0, .path = ChannelPath::translation, .interpolation = Interpolation::step, .times = {0, 0.5}, .values = {0, 0, 0, 1, 2, 3}});
-  clip.channels.push_back({.node = 3, .path = ChannelPath::scale, .interpolation = Interpolation::cubic_spline, .times = {0, 1}, .values = {0, 0, 0, 1, 1, 1, 0, 0, 0, 0, 0, 0, 2, 2, 2, 0, 0, 0}});
+  clip.channels.push_back(
+      {.node = 1, .path = ChannelPath::rotation, .times = {0, 1}, .values = {0, 0, 0, 1, 0.6, 0, 0, 0.8}});
+  clip.channels.push_back({.node = 0,
+                           .path = ChannelPath::translation,
+                           .interpolation = Interpolation::step,
+                           .times = {0, 0.5},
+                           .values = {0, 0, 0, 1, 2, 3}});
+  clip.channels.push_back({.node = 3,
+                           .path = ChannelPath::scale,
+                           .interpolation = Interpolation::cubic_spline,
+                           .times = {0, 1},
+                           .values = {0, 0, 0, 1, 1, 1, 0, 0, 0, 0, 0, 0, 2, 2, 2, 0, 0, 0}});
   clip.channels.push_back({.node = 3, .path = ChannelPath::weights, .times = {0, 1}, .values = {0, 1}});
   rig.clips = {clip};
   finish_rig(rig);

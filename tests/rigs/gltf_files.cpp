@@ -21,7 +21,8 @@ std::string base64(const std::string& bytes) {
   std::string out;
   for (std::size_t i = 0; i < bytes.size(); i += 3) {
     std::uint32_t v = 0;
-    for (std::size_t k = 0; k < 3; ++k) v = v << 8 | (i + k < bytes.size() ? static_cast<std::uint8_t>(bytes[i + k]) : 0u);
+    for (std::size_t k = 0; k < 3; ++k)
+      v = v << 8 | (i + k < bytes.size() ? static_cast<std::uint8_t>(bytes[i + k]) : 0u);
     for (std::size_t k = 0; k < 4; ++k) out += i + k > bytes.size() ? '=' : digits[v >> (18 - 6 * k) & 63];
   }
   return out;
@@ -81,7 +82,9 @@ struct File {
   }
 };
 
-void put(const fs::path& file, const std::string& bytes) { std::ofstream(file, std::ios::binary) << bytes; }
+void put(const fs::path& file, const std::string& bytes) {
+  std::ofstream(file, std::ios::binary) << bytes;
+}
 
 Rig load_bytes(const std::string& bytes, const char* name = "file.glb", const LoadOptions& options = {}) {
   const TempFolder folder;
@@ -95,8 +98,8 @@ std::string refusal(const std::string& bytes, const char* name = "file.glb") {
     load_bytes(bytes, name);
   } catch (const InputError& e) {
     const std::string message = e.what();
-    CHECK(message.find(name) != std::string::npos);   // names the file
-    CHECK(message.find('\n') == std::string::npos);   // one sentence
+    CHECK(message.find(name) != std::string::npos);  // names the file
+    CHECK(message.find('\n') == std::string::npos);  // one sentence
     CHECK(message.size() < 600);
     return message;
   }
@@ -113,7 +116,8 @@ bool has(const std::string& text, const std::string& part) {
 const std::vector<float> triangle = {0, 0, 0, 1, 0, 0, 0, 2, 0};  // glTF axes
 
 // Three vertices bound to two joints; weights and joints as given.
-File skinned(const std::vector<float>& weights, const std::vector<std::uint8_t>& joints = {0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0}) {
+File skinned(const std::vector<float>& weights,
+             const std::vector<std::uint8_t>& joints = {0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0}) {
   File f;
   f.j["nodes"] = {{{"mesh", 0}, {"skin", 0}, {"name", "holder"}, {"translation", {100, 0, 0}}},
                   {{"name", "hip"}, {"children", {2}}, {"translation", {0, 1, 0}}},
@@ -125,14 +129,17 @@ File skinned(const std::vector<float>& weights, const std::vector<std::uint8_t>&
     bind[16 * m + 13] = m ? -2.0f : -1.0f;
   }
   f.j["skins"] = {{{"joints", {1, 2}}, {"inverseBindMatrices", f.floats(bind, "MAT4", 16)}}};
-  f.mesh({{"attributes", {{"POSITION", f.floats(triangle, "VEC3", 3)},
-                          {"JOINTS_0", f.accessor(f.view(File::raw(joints)), 5121, 3, "VEC4")},
-                          {"WEIGHTS_0", f.floats(weights, "VEC4", 4)}}}});
+  f.mesh({{"attributes",
+           {{"POSITION", f.floats(triangle, "VEC3", 3)},
+            {"JOINTS_0", f.accessor(f.view(File::raw(joints)), 5121, 3, "VEC4")},
+            {"WEIGHTS_0", f.floats(weights, "VEC4", 4)}}}});
   return f;
 }
 
 std::vector<vec3> posed(const Rig& rig) {
-  return skin(rig, bone_matrices(rig, world_transforms(rig, bind_pose(rig))), {}, SkinningMethod::linear_blend, dvec3(0)).positions;
+  return skin(rig, bone_matrices(rig, world_transforms(rig, bind_pose(rig))), {}, SkinningMethod::linear_blend,
+              dvec3(0))
+      .positions;
 }
 
 }  // namespace
@@ -158,7 +165,8 @@ TEST_CASE("Data URIs, buffer files with spaces and larger than needed, and scene
   put(folder.path / "x.gltf", f.j.dump());
   CHECK(load_rig(folder.path / "x.gltf").surface.rest[2] == vec3(0, 0, 2));
   fs::remove(folder.path / "a b.bin");
-  CHECK_THROWS_WITH_AS(load_rig(folder.path / "x.gltf"), doctest::Contains("'a b.bin', which is not there"), InputError);
+  CHECK_THROWS_WITH_AS(load_rig(folder.path / "x.gltf"), doctest::Contains("'a b.bin', which is not there"),
+                       InputError);
   put(folder.path / "a b.bin", "short");
   CHECK_THROWS_WITH_AS(load_rig(folder.path / "x.gltf"), doctest::Contains("should have 36 bytes"), InputError);
 }
@@ -177,7 +185,8 @@ TEST_CASE("Scenes: the default, one by number, none at all") {
   f.j.erase("scenes");
   CHECK(load_bytes(f.glb()).surface.rest.size() == 6);
   CHECK(load_bytes(f.glb(), "file.glb", {.include_meshes = {"n1"}}).surface.rest.size() == 3);
-  CHECK_THROWS_WITH_AS(load_bytes(f.glb(), "file.glb", {.include_meshes = {"x"}}), doctest::Contains("no mesh 'x'"), InputError);
+  CHECK_THROWS_WITH_AS(load_bytes(f.glb(), "file.glb", {.include_meshes = {"x"}}), doctest::Contains("no mesh 'x'"),
+                       InputError);
   CHECK(load_bytes(f.glb(), "file.glb", {.scale = 0.5}).surface.rest[2] == vec3(0, 0, 1));
 }
 
@@ -186,13 +195,16 @@ TEST_CASE("Strips, fans, unindexed triangles, and points that are left out") {
   const auto normals_of = [](const Rig& rig) {
     std::vector<vec3> n;
     for (const uvec3& t : rig.surface.triangles)
-      n.push_back(glm::cross(rig.surface.rest[t[1]] - rig.surface.rest[t[0]], rig.surface.rest[t[2]] - rig.surface.rest[t[0]]));
+      n.push_back(
+          glm::cross(rig.surface.rest[t[1]] - rig.surface.rest[t[0]], rig.surface.rest[t[2]] - rig.surface.rest[t[0]]));
     return n;
   };
   File strip;
   strip.mesh({{"attributes", {{"POSITION", strip.floats(square, "VEC3", 3)}}}, {"mode", 5}});
   File fan;
-  fan.mesh({{"attributes", {{"POSITION", fan.floats(square, "VEC3", 3)}}}, {"mode", 6}, {"indices", fan.indices({0, 1, 3, 2})}});
+  fan.mesh({{"attributes", {{"POSITION", fan.floats(square, "VEC3", 3)}}},
+            {"mode", 6},
+            {"indices", fan.indices({0, 1, 3, 2})}});
   for (File* f : {&strip, &fan}) {
     const Rig rig = load_bytes(f->glb());
     const auto n = normals_of(rig);
@@ -236,9 +248,11 @@ TEST_CASE("Interleaved and quantised attributes") {
   File f;
   std::string bytes;
   for (int i = 0; i < 3; ++i) {
-    const std::int16_t p[3] = {static_cast<std::int16_t>(i == 1 ? 32767 : 0), static_cast<std::int16_t>(i == 2 ? -32768 : 0), 0};
+    const std::int16_t p[3] = {static_cast<std::int16_t>(i == 1 ? 32767 : 0),
+                               static_cast<std::int16_t>(i == 2 ? -32768 : 0), 0};
     const std::uint8_t uv[2] = {static_cast<std::uint8_t>(51 * i), 255};
-    bytes += std::string(reinterpret_cast<const char*>(p), 6) + std::string(2, '\0') + std::string(reinterpret_cast<const char*>(uv), 2) + std::string(2, '\0');
+    bytes += std::string(reinterpret_cast<const char*>(p), 6) + std::string(2, '\0') +
+             std::string(reinterpret_cast<const char*>(uv), 2) + std::string(2, '\0');
   }
   const int view = f.view(bytes, 12);
   const int position = f.accessor(view, 5122, 3, "VEC3"), uv = f.accessor(view, 5121, 3, "VEC2", 8);
@@ -267,8 +281,10 @@ TEST_CASE("Skins: the node of a skinned mesh does not move it, weights are norma
   const auto p = posed(rig);
   for (int i = 0; i < 3; ++i) CHECK(glm::length(p[i] - rig.surface.rest[i]) < 1e-6f);
   Pose bent = bind_pose(rig);  // the knee turns by 90 degrees about our y axis, at z = 2
-  bent.local[rig.find_node("knee")] = LocalTransform{.translation = {0, 0, 1}, .rotation = glm::angleAxis(pi / 2, dvec3(0, 1, 0))};
-  const auto q = skin(rig, bone_matrices(rig, world_transforms(rig, bent)), {}, SkinningMethod::linear_blend, dvec3(0)).positions;
+  bent.local[rig.find_node("knee")] =
+      LocalTransform{.translation = {0, 0, 1}, .rotation = glm::angleAxis(pi / 2, dvec3(0, 1, 0))};
+  const auto q =
+      skin(rig, bone_matrices(rig, world_transforms(rig, bent)), {}, SkinningMethod::linear_blend, dvec3(0)).positions;
   CHECK(glm::length(q[2] - vec3(0, 0, 2)) < 1e-6f);                                     // on the joint
   CHECK(glm::length(q[1] - (0.25f * vec3(1, 0, 0) + 0.75f * vec3(-2, 0, 1))) < 1e-6f);  // analytic blend
 }
@@ -286,7 +302,8 @@ TEST_CASE("A skin in units of its own comes to metres without moving a posed ver
 TEST_CASE("u8 normalised weights sum to one exactly enough, and eight influences are read in order") {
   File f = skinned({1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0});
   auto& attributes = f.j["meshes"][0]["primitives"][0]["attributes"];
-  const std::vector<std::uint8_t> w = {100, 55, 0, 0, 100, 55, 0, 0, 100, 55, 0, 0}, w1 = {50, 50, 0, 0, 50, 50, 0, 0, 50, 50, 0, 0};
+  const std::vector<std::uint8_t> w = {100, 55, 0, 0, 100, 55, 0, 0, 100, 55, 0, 0},
+                                  w1 = {50, 50, 0, 0, 50, 50, 0, 0, 50, 50, 0, 0};
   const std::vector<std::uint8_t> joints = {1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0};
   for (int set = 0; set < 2; ++set) {
     const int a = f.accessor(f.view(File::raw(set ? w1 : w)), 5121, 3, "VEC4");
@@ -308,10 +325,13 @@ TEST_CASE("u8 normalised weights sum to one exactly enough, and eight influences
 
 TEST_CASE("Bad weights, positions and joints are refused by the name of the vertex") {
   const float nan = std::numeric_limits<float>::quiet_NaN();
-  has(refusal(skinned({1, 0, 0, 0, 1.5f, -0.5f, 0, 0, 1, 0, 0, 0}).glb()), "vertex 1 of mesh 'm' has the negative weight -0.5");
+  has(refusal(skinned({1, 0, 0, 0, 1.5f, -0.5f, 0, 0, 1, 0, 0, 0}).glb()),
+      "vertex 1 of mesh 'm' has the negative weight -0.5");
   has(refusal(skinned({1, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0}).glb()), "vertex 2 of mesh 'm' has no weight");
-  has(refusal(skinned({nan, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0}).glb()), "vertex 0 of mesh 'm' has a weight that is not a number");
-  has(refusal(skinned({1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0}, {0, 0, 0, 0, 9, 0, 0, 0, 0, 0, 0, 0}).glb()), "vertex 1 of mesh 'm' is bound to joint 9");
+  has(refusal(skinned({nan, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0}).glb()),
+      "vertex 0 of mesh 'm' has a weight that is not a number");
+  has(refusal(skinned({1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0}, {0, 0, 0, 0, 9, 0, 0, 0, 0, 0, 0, 0}).glb()),
+      "vertex 1 of mesh 'm' is bound to joint 9");
   File f;
   f.mesh({{"attributes", {{"POSITION", f.floats({0, 0, 0, 1, nan, 0, 0, 1, 0}, "VEC3", 3)}}}});
   has(refusal(f.glb()), "position of vertex 1 of mesh 'm' is not finite");
@@ -319,9 +339,12 @@ TEST_CASE("Bad weights, positions and joints are refused by the name of the vert
 
 TEST_CASE("The same mesh on several nodes is there several times; a mirrored node keeps triangles facing out") {
   File f;
-  f.j["nodes"] = {{{"mesh", 0}, {"name", "n"}}, {{"mesh", 0}, {"name", "n"}, {"scale", {-1, 1, 1}}, {"translation", {0, 0, -3}}}};
+  f.j["nodes"] = {{{"mesh", 0}, {"name", "n"}},
+                  {{"mesh", 0}, {"name", "n"}, {"scale", {-1, 1, 1}}, {"translation", {0, 0, -3}}}};
   f.j["scenes"] = {{{"nodes", {0, 1}}}};
-  f.mesh({{"attributes", {{"POSITION", f.floats(triangle, "VEC3", 3)}, {"NORMAL", f.floats({0, 0, 1, 0, 0, 1, 0, 0, 1}, "VEC3", 3)}}}});
+  f.mesh(
+      {{"attributes",
+        {{"POSITION", f.floats(triangle, "VEC3", 3)}, {"NORMAL", f.floats({0, 0, 1, 0, 0, 1, 0, 0, 1}, "VEC3", 3)}}}});
   const Rig rig = load_bytes(f.glb());
   REQUIRE(rig.surface.triangles.size() == 2);
   CHECK(rig.surface.rest[4] == vec3(-1, 3, 0));
@@ -343,12 +366,14 @@ TEST_CASE("Clips: step, linear on the short way round, and spline, against value
   const int turns = f.floats({0, 0, 0, 1, 0, 0, -h, -h}, "VEC4", 4);  // -q of 90 degrees about z
   const int spline = f.floats({0, 0, 0, 1, 1, 1, 2, 0, 0, 0, 0, 0, 5, 1, 1, 0, 0, 0}, "VEC3", 3);
   f.j["animations"] = {{{"name", "go"},
-                        {"samplers", {{{"input", times}, {"output", steps}, {"interpolation", "STEP"}},
-                                      {{"input", times}, {"output", turns}},
-                                      {{"input", times}, {"output", spline}, {"interpolation", "CUBICSPLINE"}}}},
-                        {"channels", {{{"sampler", 0}, {"target", {{"node", 0}, {"path", "translation"}}}},
-                                      {{"sampler", 1}, {"target", {{"node", 0}, {"path", "rotation"}}}},
-                                      {{"sampler", 2}, {"target", {{"node", 0}, {"path", "scale"}}}}}}}};
+                        {"samplers",
+                         {{{"input", times}, {"output", steps}, {"interpolation", "STEP"}},
+                          {{"input", times}, {"output", turns}},
+                          {{"input", times}, {"output", spline}, {"interpolation", "CUBICSPLINE"}}}},
+                        {"channels",
+                         {{{"sampler", 0}, {"target", {{"node", 0}, {"path", "translation"}}}},
+                          {{"sampler", 1}, {"target", {{"node", 0}, {"path", "rotation"}}}},
+                          {{"sampler", 2}, {"target", {{"node", 0}, {"path", "scale"}}}}}}}};
   const Rig rig = load_bytes(f.glb());
   const Clip& clip = rig.clips.at(rig.find_clip("go"));
   CHECK(clip.duration == 3);
@@ -362,7 +387,8 @@ TEST_CASE("Clips: step, linear on the short way round, and spline, against value
   CHECK(q.w == doctest::Approx(std::cos(pi / 8)).epsilon(1e-7));
   CHECK(q.y == doctest::Approx(-std::sin(pi / 8)).epsilon(1e-7));
   // Appendix C at t = 1/4 of a span of 2 s: value 1 -> 5, leaving with tangent 2, arriving with 0.
-  const double t = 0.25, expected = (2 * t * t * t - 3 * t * t + 1) * 1 + 2 * (t * t * t - 2 * t * t + t) * 2 + (3 * t * t - 2 * t * t * t) * 5;
+  const double t = 0.25, expected = (2 * t * t * t - 3 * t * t + 1) * 1 + 2 * (t * t * t - 2 * t * t + t) * 2 +
+                                    (3 * t * t - 2 * t * t * t) * 5;
   CHECK(at(1.5).scale.x == doctest::Approx(expected).epsilon(1e-7));
   f.j["animations"][0]["samplers"][0]["interpolation"] = "ODD";
   has(refusal(f.glb()), "interpolation 'ODD'");
@@ -376,8 +402,9 @@ TEST_CASE("Morph targets, their default weights and clips of weights") {
   f.mesh({{"attributes", {{"POSITION", f.floats(triangle, "VEC3", 3)}}}, {"targets", {{{"POSITION", delta}}}}});
   f.j["meshes"][0]["weights"] = {0.5};
   f.j["meshes"][0]["extras"]["targetNames"] = {"open"};
-  f.j["animations"] = {{{"samplers", {{{"input", f.floats({0, 1}, "SCALAR", 1)}, {"output", f.floats({0, 1}, "SCALAR", 1)}}}},
-                        {"channels", {{{"sampler", 0}, {"target", {{"node", 0}, {"path", "weights"}}}}}}}};
+  f.j["animations"] = {
+      {{"samplers", {{{"input", f.floats({0, 1}, "SCALAR", 1)}, {"output", f.floats({0, 1}, "SCALAR", 1)}}}},
+       {"channels", {{{"sampler", 0}, {"target", {{"node", 0}, {"path", "weights"}}}}}}}};
   const Rig rig = load_bytes(f.glb());
   REQUIRE(rig.morphs.size() == 1);
   CHECK(rig.morphs[0].name == "open");
@@ -391,12 +418,16 @@ TEST_CASE("Materials: colour, transform and wrap of textures, missing and embedd
   f.j["images"] = {{{"bufferView", f.view("\x89PNGbytes")}, {"mimeType", "image/png"}}, {{"uri", "lost%20hide.png"}}};
   f.j["samplers"] = {{{"wrapS", 33071}, {"wrapT", 33648}}};
   f.j["textures"] = {{{"source", 0}, {"sampler", 0}}, {{"source", 1}}};
-  f.j["materials"] = {{{"name", "hide"},
-                       {"alphaMode", "MASK"},
-                       {"normalTexture", {{"index", 1}}},
-                       {"pbrMetallicRoughness",
-                        {{"baseColorFactor", {0.1, 0.2, 0.3, 0.4}},
-                         {"baseColorTexture", {{"index", 0}, {"extensions", {{"KHR_texture_transform", {{"offset", {0.5, 0}}, {"scale", {2, 3}}, {"rotation", 1.5}}}}}}}}}}};
+  f.j["materials"] = {
+      {{"name", "hide"},
+       {"alphaMode", "MASK"},
+       {"normalTexture", {{"index", 1}}},
+       {"pbrMetallicRoughness",
+        {{"baseColorFactor", {0.1, 0.2, 0.3, 0.4}},
+         {"baseColorTexture",
+          {{"index", 0},
+           {"extensions",
+            {{"KHR_texture_transform", {{"offset", {0.5, 0}}, {"scale", {2, 3}}, {"rotation", 1.5}}}}}}}}}}};
   const Rig rig = load_bytes(f.glb());
   const RigMaterial& m = rig.materials.at(0);
   CHECK(m.base_color == vec3(0.1f, 0.2f, 0.3f));
@@ -449,7 +480,9 @@ TEST_CASE("Broken structure is refused by its place") {
   has(refusal("[]", "file.gltf"), "not an object");
   has(refusal("{}", "file.gltf"), "asset.version is missing");
   has(refusal(std::string(5000, '['), "file.gltf"), "nests deeper");
-  has(refusal("{\"asset\":{\"version\":\"2.0\"},\"extras\":" + std::string(500, '[') + std::string(500, ']') + "}", "file.gltf"), "nests deeper");
+  has(refusal("{\"asset\":{\"version\":\"2.0\"},\"extras\":" + std::string(500, '[') + std::string(500, ']') + "}",
+              "file.gltf"),
+      "nests deeper");
   has(refusal("", "file.glb"), "is empty");
   has(refusal("hello", "file.txt"), "'.txt' is not a model format");
   CHECK_THROWS_AS(load_rig("no/such/file.glb"), InputError);
@@ -488,7 +521,8 @@ TEST_CASE("Flipped bytes never crash: files load or are refused in a sentence") 
   std::string plain = own;
   plain.replace(plain.find("\"moomill\":"), 10, "\"someone\":");
   const std::string text = skinned({0.5f, 0.5f, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0}).data_uri_gltf();
-  const std::pair<const std::string*, const char*> inputs[] = {{&own, "file.glb"}, {&plain, "file.glb"}, {&text, "file.gltf"}};
+  const std::pair<const std::string*, const char*> inputs[] = {
+      {&own, "file.glb"}, {&plain, "file.glb"}, {&text, "file.gltf"}};
   std::mt19937 random(12345);
   std::size_t loaded = 0, refused = 0;
   for (int i = 0; i < 500; ++i)
@@ -498,7 +532,8 @@ TEST_CASE("Flipped bytes never crash: files load or are refused in a sentence") 
       for (unsigned flips = 1 + random() % 4; flips-- > 0;) {
         std::size_t at = random() % broken.size();
         if (i % 2)
-          for (std::size_t tries = 0; tries < broken.size() && !std::isdigit(static_cast<unsigned char>(broken[at])); ++tries)
+          for (std::size_t tries = 0; tries < broken.size() && !std::isdigit(static_cast<unsigned char>(broken[at]));
+               ++tries)
             at = (at + 1) % broken.size();
         broken[at] = static_cast<char>(i % 2 ? '0' + random() % 10 : random());
       }
@@ -523,7 +558,8 @@ TEST_CASE("Edge cases of others load or are refused in a sentence") {
       const Rig rig = load_rig(file);
       const auto p = posed(rig);
       for (const vec3& v : p) REQUIRE(all_finite(v));
-      MESSAGE(name, ": loaded, ", rig.surface.triangles.size(), " triangles, ", rig.bones.size(), " bones, ", rig.clips.size(), " clips");
+      MESSAGE(name, ": loaded, ", rig.surface.triangles.size(), " triangles, ", rig.bones.size(), " bones, ",
+              rig.clips.size(), " clips");
       for (const std::string& warning : rig.warnings) MESSAGE("    ", warning);
     } catch (const InputError& e) {
       MESSAGE(name, ": refused, ", std::string(e.what()));

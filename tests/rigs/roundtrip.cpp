@@ -96,7 +96,8 @@ void check_same(const Rig& a, const Rig& b) {
       CHECK(x.path == y.path);
       CHECK(x.interpolation == y.interpolation);
       REQUIRE(x.values.size() == y.values.size());
-      for (std::size_t i = 0; i < x.values.size(); ++i) REQUIRE(static_cast<float>(x.values[i]) == static_cast<float>(y.values[i]));
+      for (std::size_t i = 0; i < x.values.size(); ++i)
+        REQUIRE(static_cast<float>(x.values[i]) == static_cast<float>(y.values[i]));
     }
   }
 }

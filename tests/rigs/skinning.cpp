@@ -14,7 +14,9 @@ using namespace moomill;
 
 namespace {
 
-dquat about(const dvec3& axis, double angle) { return glm::angleAxis(angle, glm::normalize(axis)); }
+dquat about(const dvec3& axis, double angle) {
+  return glm::angleAxis(angle, glm::normalize(axis));
+}
 
 PosedSurface pose_skin(const Rig& rig, const Pose& pose, SkinningMethod method, const dvec3& origin = dvec3(0)) {
   return skin(rig, bone_matrices(rig, world_transforms(rig, pose)), pose.morph_weights, method, origin);
@@ -33,7 +35,8 @@ std::vector<dvec3> plain_linear(const Rig& rig, const std::vector<dmat4>& bones)
     dvec4 sum(0);
     double weights = 0;
     for (std::uint32_t i = rig.influence_begin[v]; i < rig.influence_begin[v + 1]; ++i) {
-      sum += static_cast<double>(rig.influences[i].weight) * (bones[rig.influences[i].bone] * dvec4(dvec3(rig.surface.rest[v]), 1));
+      sum += static_cast<double>(rig.influences[i].weight) *
+             (bones[rig.influences[i].bone] * dvec4(dvec3(rig.surface.rest[v]), 1));
       weights += rig.influences[i].weight;
     }
     out.push_back(dvec3(sum) / weights);
@@ -200,8 +203,10 @@ TEST_CASE("The number of threads changes no bit") {
       arena.execute([&] { results.push_back(pose_skin(rig, pose, method, {0.1, 0.2, 0.3})); });
     }
     for (std::size_t r = 1; r < results.size(); ++r) {
-      CHECK(std::memcmp(results[0].positions.data(), results[r].positions.data(), results[0].positions.size() * sizeof(vec3)) == 0);
-      CHECK(std::memcmp(results[0].normals.data(), results[r].normals.data(), results[0].normals.size() * sizeof(vec3)) == 0);
+      CHECK(std::memcmp(results[0].positions.data(), results[r].positions.data(),
+                        results[0].positions.size() * sizeof(vec3)) == 0);
+      CHECK(std::memcmp(results[0].normals.data(), results[r].normals.data(),
+                        results[0].normals.size() * sizeof(vec3)) == 0);
     }
   }
 }
@@ -224,7 +229,8 @@ TEST_CASE("Skinning 100,000 vertices with four influences takes milliseconds") {
       }
     });
     MESSAGE(rig.surface.rest.size(), " vertices x 4 influences, one thread, ",
-            std::string(method == SkinningMethod::linear_blend ? "linear blend" : "dual quaternions"), ": ", 1e3 * best, " ms");
+            std::string(method == SkinningMethod::linear_blend ? "linear blend" : "dual quaternions"), ": ", 1e3 * best,
+            " ms");
     CHECK(best < 1);  // generous: the machine may be busy and the build sanitised
   }
 }
@@ -240,12 +246,14 @@ TEST_CASE("Keypoints ride on joints and on the surface") {
   pose.local[1] = LocalTransform{.translation = {0, 0, 1}, .rotation = about({0, 1, 0}, pi / 2)};
   pose.placement = compose({.translation = {10, 0, 0}});
   const auto world = world_transforms(species.rig, pose);
-  const PosedSurface posed = skin(species.rig, bone_matrices(species.rig, world), {}, SkinningMethod::linear_blend, {10, 1, 0});
+  const PosedSurface posed =
+      skin(species.rig, bone_matrices(species.rig, world), {}, SkinningMethod::linear_blend, {10, 1, 0});
   const auto points = keypoint_positions(species, world, neutral, posed);
   CHECK(glm::length(points[0] - dvec3(11, 0, 1)) < 1e-12);
   const uvec3 t = species.rig.surface.triangles[0];
   const auto& rest = species.rig.surface.rest;
-  const dvec3 expected = 0.25 * dvec3(rest[t[0]]) + 0.25 * dvec3(rest[t[1]]) + 0.5 * dvec3(rest[t[2]]) + dvec3(10, 0, 0);
+  const dvec3 expected =
+      0.25 * dvec3(rest[t[0]]) + 0.25 * dvec3(rest[t[1]]) + 0.5 * dvec3(rest[t[2]]) + dvec3(10, 0, 0);
   CHECK(glm::length(points[1] - expected) < 1e-6);
 }
 
