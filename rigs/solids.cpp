@@ -31,7 +31,7 @@ double hermite(const std::vector<double>& knots, const std::vector<double>& valu
   return (2 * f3 - 3 * f2 + 1) * values[i] + (f3 - 2 * f2 + f) * h * m0 + (3 * f2 - 2 * f3) * values[i + 1] + (f3 - f2) * h * m1;
 }
 
-void add_points(Shape& shape, const Solid& solid) {
+void add_points(Shape& shape, const Solid& solid, const std::string& source) {
   const auto& sections = solid.sections;
   const std::size_t n = sections.size();
   std::vector<double> knots(n, 0.0);
@@ -67,7 +67,10 @@ void add_points(Shape& shape, const Solid& solid) {
                             : shape.points[std::min(k + 1, count - 1)].at - shape.points[k > 0 ? k - 1 : 0].at;
     if (glm::length(axis) < 1e-9) axis = {1, 0, 0};
     axis = glm::normalize(axis);
-    shape.points[k].side_axis = glm::normalize(glm::cross(solid.up, axis));
+    const dvec3 across = glm::cross(solid.up, axis);
+    if (glm::length(across) < 0.1 || (k > 0 && glm::dot(across, shape.points[k - 1].side_axis) < 0))
+      input_error("{}: solid '{}' runs along its 'up' somewhere; give it an 'up' that is square to all of its axis", source, solid.name);
+    shape.points[k].side_axis = glm::normalize(across);
     shape.points[k].up_axis = glm::cross(axis, shape.points[k].side_axis);
     if (k == 0) shape.start_axis = -axis;
     if (k + 1 == count) shape.end_axis = axis;
@@ -265,7 +268,7 @@ Field build_field(const QuadrupedSpec& spec, const std::vector<std::string>& joi
       shape.joints.push_back(found == joint_names.end() ? 0 : static_cast<int>(found - joint_names.begin()));
       shape.parts.push_back(part.empty() ? 0 : part_index(part));
     }
-    add_points(shape, solid);
+    add_points(shape, solid, spec.source);
     if (solid.kind == Solid::Kind::add) {
       field.box.add(shape.box.lower);
       field.box.add(shape.box.upper);
