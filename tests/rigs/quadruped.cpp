@@ -51,7 +51,9 @@ QuadrupedSpec dumbbell() {
 }
 
 using Bits = std::array<float, 3>;
-Bits bits(const vec3& p) { return {p.x, p.y, p.z}; }
+Bits bits(const vec3& p) {
+  return {p.x, p.y, p.z};
+}
 
 std::vector<int> weld(const Surface& s) {
   std::map<Bits, int> seen;
@@ -60,7 +62,9 @@ std::vector<int> weld(const Surface& s) {
   return id;
 }
 
-double cross2(const vec2& a, const vec2& b) { return static_cast<double>(a.x) * b.y - static_cast<double>(a.y) * b.x; }
+double cross2(const vec2& a, const vec2& b) {
+  return static_cast<double>(a.x) * b.y - static_cast<double>(a.y) * b.x;
+}
 
 void check_closed(const Surface& s) {
   const std::vector<int> id = weld(s);
@@ -68,13 +72,15 @@ void check_closed(const Surface& s) {
   for (const uvec3& t : s.triangles)
     for (int k = 0; k < 3; ++k) ++edges[{id[t[k]], id[t[(k + 1) % 3]]}];
   int wrong = 0;
-  for (const auto& [edge, count] : edges) wrong += count != 1 || !edges.count({edge.second, edge.first}) || edge.first == edge.second;
+  for (const auto& [edge, count] : edges)
+    wrong += count != 1 || !edges.count({edge.second, edge.first}) || edge.first == edge.second;
   CHECK(wrong == 0);
 }
 
 double volume(const Surface& s) {
   double v = 0;
-  for (const uvec3& t : s.triangles) v += glm::dot(dvec3(s.rest[t.x]), glm::cross(dvec3(s.rest[t.y]), dvec3(s.rest[t.z]))) / 6;
+  for (const uvec3& t : s.triangles)
+    v += glm::dot(dvec3(s.rest[t.x]), glm::cross(dvec3(s.rest[t.y]), dvec3(s.rest[t.z]))) / 6;
   return v;
 }
 
@@ -84,7 +90,8 @@ double winding(const Surface& s, const dvec3& p) {
   for (const uvec3& t : s.triangles) {
     const dvec3 a = dvec3(s.rest[t.x]) - p, b = dvec3(s.rest[t.y]) - p, c = dvec3(s.rest[t.z]) - p;
     const double la = glm::length(a), lb = glm::length(b), lc = glm::length(c);
-    sum += 2 * std::atan2(glm::dot(a, glm::cross(b, c)), la * lb * lc + glm::dot(a, b) * lc + glm::dot(b, c) * la + glm::dot(c, a) * lb);
+    sum += 2 * std::atan2(glm::dot(a, glm::cross(b, c)),
+                          la * lb * lc + glm::dot(a, b) * lc + glm::dot(b, c) * la + glm::dot(c, a) * lb);
   }
   return sum / (4 * pi);
 }
@@ -94,9 +101,11 @@ std::uint64_t hash_rig(const Rig& rig) {
   const auto add = [&](const auto& v) {
     h = hash_identity({h, hash_text({reinterpret_cast<const char*>(v.data()), v.size() * sizeof(v[0])})});
   };
-  add(rig.surface.rest), add(rig.surface.normals), add(rig.surface.uvs), add(rig.surface.triangles), add(rig.surface.parts);
+  add(rig.surface.rest), add(rig.surface.normals), add(rig.surface.uvs), add(rig.surface.triangles),
+      add(rig.surface.parts);
   add(rig.influence_begin);
-  for (const Influence& i : rig.influences) h = hash_identity({h, i.bone, static_cast<std::uint64_t>(std::llround(i.weight * 1e9))});
+  for (const Influence& i : rig.influences)
+    h = hash_identity({h, i.bone, static_cast<std::uint64_t>(std::llround(i.weight * 1e9))});
   for (const Clip& c : rig.clips)
     for (const Channel& ch : c.channels) add(ch.values);
   return h;
@@ -112,7 +121,8 @@ TEST_CASE("A small body is closed, symmetric and of the right volume") {
   CHECK(box.size().y == doctest::Approx(0.5).epsilon(0.03));
   CHECK(volume(rig.surface) > 0.012);
   CHECK(volume(rig.surface) < 0.020);
-  CHECK(std::set<std::string>(rig.part_names.begin(), rig.part_names.end()) == std::set<std::string>{"bar", "lobe_l", "lobe_r"});
+  CHECK(std::set<std::string>(rig.part_names.begin(), rig.part_names.end()) ==
+        std::set<std::string>{"bar", "lobe_l", "lobe_r"});
 }
 
 TEST_CASE("What contradicts itself in a spec is refused with the place") {
@@ -159,7 +169,8 @@ TEST_CASE("The cow's skin weights are few, sum to one, and do not leak between l
   REQUIRE(rig.influence_begin.size() == rig.surface.rest.size() + 1);
   const auto names_of = [&](std::size_t v) {
     std::vector<std::string> names;
-    for (std::uint32_t i = rig.influence_begin[v]; i < rig.influence_begin[v + 1]; ++i) names.push_back(rig.nodes[rig.bones[rig.influences[i].bone].node].name);
+    for (std::uint32_t i = rig.influence_begin[v]; i < rig.influence_begin[v + 1]; ++i)
+      names.push_back(rig.nodes[rig.bones[rig.influences[i].bone].node].name);
     return names;
   };
   for (std::size_t v = 0; v < rig.surface.rest.size(); ++v) {
@@ -220,7 +231,8 @@ TEST_CASE("The cow's UV atlas lies in [0, 1] and covers no texel twice") {
       for (int x = static_cast<int>(low.x); x <= std::min(n - 1, static_cast<int>(high.x)); ++x) {
         const vec2 p(x + 0.5f, y + 0.5f);
         const double e = 1e-4;  // texels on a shared edge belong to both sides within rounding
-        if (cross2(b - a, p - a) / area < e || cross2(c - b, p - b) / area < e || cross2(a - c, p - c) / area < e) continue;
+        if (cross2(b - a, p - a) / area < e || cross2(c - b, p - b) / area < e || cross2(a - c, p - c) / area < e)
+          continue;
         painted += covered[static_cast<std::size_t>(y) * n + x] == 0;
         twice += covered[static_cast<std::size_t>(y) * n + x]++ > 0;
       }
@@ -231,7 +243,8 @@ TEST_CASE("The cow's UV atlas lies in [0, 1] and covers no texel twice") {
 
 TEST_CASE("The cow has its 25 keypoints in order, at joints inside the body") {
   const Species& c = cow();
-  const std::vector<std::string> trunk = {"nose", "poll", "neck", "withers", "mid_back", "sacrum", "tail_base", "tail_mid", "tail_tip"};
+  const std::vector<std::string> trunk = {"nose",   "poll",      "neck",     "withers", "mid_back",
+                                          "sacrum", "tail_base", "tail_mid", "tail_tip"};
   std::vector<std::string> wanted = trunk;
   for (const std::string leg : {"left_fore", "right_fore"})
     for (const std::string j : {"_elbow", "_carpus", "_fetlock", "_hoof"}) wanted.push_back(leg + j);
@@ -303,7 +316,8 @@ TEST_CASE("In the walk planted feet move back at one speed, at the height they s
     const int node = rig.find_node(name);
     const double stand = world_transforms(rig, rest_pose(rig))[node][3].z;
     std::vector<dvec3> at;
-    for (int i = 0; i <= n; ++i) at.emplace_back(world_transforms(rig, sample_clip(rig, walk, walk.duration * i / n))[node][3]);
+    for (int i = 0; i <= n; ++i)
+      at.emplace_back(world_transforms(rig, sample_clip(rig, walk, walk.duration * i / n))[node][3]);
     int planted = 0;
     for (int i = 0; i < n; ++i) {
       if (std::abs(at[i].z - stand) > 0.004 || std::abs(at[i + 1].z - stand) > 0.004) continue;

@@ -51,8 +51,9 @@ double mean_difference(const Image8& a, const Image8& b) {
 TEST_CASE("Twelve coats ship, in the order of their index, and all bake") {
   const std::vector<std::string> names = shipped_coats("cow");
   REQUIRE(names.size() == 12);
-  const std::array<std::string, 12> begin = {"00_holstein", "01_brown_spotted", "02_brown_freckled", "03_white", "04_black_freckled", "05_holstein",
-                                             "06_holstein", "07_holstein", "08_holstein", "09_grey", "10_white", "11_limousin"};
+  const std::array<std::string, 12> begin = {
+      "00_holstein", "01_brown_spotted", "02_brown_freckled", "03_white", "04_black_freckled", "05_holstein",
+      "06_holstein", "07_holstein",      "08_holstein",       "09_grey",  "10_white",          "11_limousin"};
   std::map<std::string, Image8> baked;
   for (int i = 0; i < 12; ++i) {
     CHECK(names[i].starts_with(begin[i]));
@@ -65,8 +66,10 @@ TEST_CASE("Twelve coats ship, in the order of their index, and all bake") {
       INFO(names[i], " ", names[j], " ", d);
       const bool alike = (i == 9 && j == 10) || (i == 1 && j == 11);
       CHECK(d > 1);
-      if (alike) CHECK(d < 12);
-      else CHECK(d > 12);
+      if (alike)
+        CHECK(d < 12);
+      else
+        CHECK(d > 12);
     }
 }
 
@@ -127,7 +130,8 @@ TEST_CASE("Freckles cover the share they are asked for, on average over space") 
   double covered = 0;
   constexpr int n = 200;
   for (int i = 0; i < n; ++i)
-    for (int j = 0; j < n; ++j) covered += 1 - coat_color(coat, {i * 0.0071, j * 0.0053, 0.37 + i * 0.003}, vec3(0, 0, 1), "torso").x;
+    for (int j = 0; j < n; ++j)
+      covered += 1 - coat_color(coat, {i * 0.0071, j * 0.0053, 0.37 + i * 0.003}, vec3(0, 0, 1), "torso").x;
   CHECK(covered / (n * n) == doctest::Approx(0.1).epsilon(0.2));
 }
 
