@@ -20,10 +20,18 @@ struct Skeleton {
   std::vector<dvec3> offset;  // from the parent
 };
 
-dquat about_y(double radians) { return {std::cos(0.5 * radians), 0, std::sin(0.5 * radians), 0}; }
-dquat about_x(double radians) { return {std::cos(0.5 * radians), std::sin(0.5 * radians), 0, 0}; }
-dquat about_z(double radians) { return {std::cos(0.5 * radians), 0, 0, std::sin(0.5 * radians)}; }
-dquat from_degrees(const dvec3& d) { return about_z(d.z * degrees) * about_y(d.y * degrees) * about_x(d.x * degrees); }
+dquat about_y(double radians) {
+  return {std::cos(0.5 * radians), 0, std::sin(0.5 * radians), 0};
+}
+dquat about_x(double radians) {
+  return {std::cos(0.5 * radians), std::sin(0.5 * radians), 0, 0};
+}
+dquat about_z(double radians) {
+  return {std::cos(0.5 * radians), 0, 0, std::sin(0.5 * radians)};
+}
+dquat from_degrees(const dvec3& d) {
+  return about_z(d.z * degrees) * about_y(d.y * degrees) * about_x(d.x * degrees);
+}
 
 struct Placement {
   dvec3 at{0};
@@ -45,8 +53,8 @@ struct Leg {
 
 // What a leg is asked for at one moment.
 struct Step {
-  dvec3 offset{0};  // of the foot from where it stands, metres
-  double reach = 0; // -1 at the back end of a step to 1 at the front
+  dvec3 offset{0};               // of the foot from where it stands, metres
+  double reach = 0;              // -1 at the back end of a step to 1 at the front
   double fold = 0, pastern = 0;  // radians
 };
 
@@ -58,10 +66,12 @@ Step gait_step(const GaitSpec& g, double phase, double cycle) {
   if (s < g.duty) {
     step.offset.x = travel * (0.5 - s / g.duty);
   } else {
-    // Cubic Hermite from lift-off to touch-down with the ground's velocity at both ends: the foot neither kicks nor skids.
+    // Cubic Hermite from lift-off to touch-down with the ground's velocity at both ends: the foot neither kicks nor
+    // skids.
     const double w = (s - g.duty) / (1 - g.duty), w2 = w * w, w3 = w2 * w;
     const double slope = -travel / g.duty * (1 - g.duty);
-    step.offset.x = travel * (-0.5 * (2 * w3 - 3 * w2 + 1) + 0.5 * (3 * w2 - 2 * w3)) + slope * ((w3 - 2 * w2 + w) + (w3 - w2));
+    step.offset.x =
+        travel * (-0.5 * (2 * w3 - 3 * w2 + 1) + 0.5 * (3 * w2 - 2 * w3)) + slope * ((w3 - 2 * w2 + w) + (w3 - w2));
     const double bump = 16 * w2 * (1 - w) * (1 - w);
     const double early = std::sin(pi * std::pow(w, 0.75));
     step.offset.z = g.lift * bump;
@@ -120,7 +130,8 @@ dvec3 track_at(const TrackSpec& track, double time) {
 class ClipBuilder {
  public:
   ClipBuilder(const QuadrupedSpec& spec, const Rig& rig) : spec_(spec), rig_(rig) {
-    for (const Node& node : rig.nodes) skeleton_.parent.push_back(node.parent), skeleton_.offset.push_back(node.translation);
+    for (const Node& node : rig.nodes)
+      skeleton_.parent.push_back(node.parent), skeleton_.offset.push_back(node.translation);
     rest_.rotation.assign(rig.nodes.size(), dquat(1, 0, 0, 0));
     rest_.shift.assign(rig.nodes.size(), dvec3(0));
     for (const LegSpec& l : spec.legs) {
@@ -131,7 +142,8 @@ class ClipBuilder {
 
   Clip build(const ClipSpec& c) {
     if (c.gait && c.gait->phases.size() != legs_.size())
-      input_error("{}: the gait of clip '{}' has {} phases; give one for each of the {} legs", spec_.source, c.name, c.gait->phases.size(), legs_.size());
+      input_error("{}: the gait of clip '{}' has {} phases; give one for each of the {} legs", spec_.source, c.name,
+                  c.gait->phases.size(), legs_.size());
     std::vector<Frame> frames;
     for (int k = 0; k <= c.keys; ++k) {
       // The last key is the first again, to the last bit; so the loop has no seam. Tracks that end elsewhere may jump.
@@ -172,10 +184,13 @@ class ClipBuilder {
   }
 
   void add_leg(const LegSpec& l, bool right) {
-    const auto find = [&](const std::string& name) { return joint(right ? mirror_name(name) : name, "a leg of [[builder.legs]]"); };
+    const auto find = [&](const std::string& name) {
+      return joint(right ? mirror_name(name) : name, "a leg of [[builder.legs]]");
+    };
     Leg leg;
     if (!l.blade.empty()) leg.blade = find(l.blade);
-    leg.swing = find(l.swing), leg.bend = find(l.bend), leg.fold = find(l.fold), leg.pastern = find(l.pastern), leg.foot = find(l.foot);
+    leg.swing = find(l.swing), leg.bend = find(l.bend), leg.fold = find(l.fold), leg.pastern = find(l.pastern),
+    leg.foot = find(l.foot);
     leg.couple = l.couple;
     leg.foot_at = locate(skeleton_, rest_, leg.foot).at;
     leg.pastern_to_foot = leg.foot_at - locate(skeleton_, rest_, leg.pastern).at;

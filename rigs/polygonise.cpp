@@ -147,7 +147,8 @@ HalfMesh polygonise(const Field& field, double grid) {
           for (int y = 0; y < block; ++y)
             for (int x = 0; x < block; ++x) cell(bx * block + x, by * block + y, bz * block + z);
       }
-  if (mesh.triangles.empty()) throw InputError("the solids enclose nothing at this grid; give them larger radii or a finer grid_m");
+  if (mesh.triangles.empty())
+    throw InputError("the solids enclose nothing at this grid; give them larger radii or a finer grid_m");
   return mesh;
 }
 

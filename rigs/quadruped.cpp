@@ -17,8 +17,10 @@ std::string mirror_name(const std::string& name) {
   std::string result = name;
   if (const auto at = result.find("left"); at != std::string::npos) return result.replace(at, 4, "right");
   if (const auto at = result.find("right"); at != std::string::npos) return result.replace(at, 5, "left");
-  if (result.ends_with("_l")) result.back() = 'r';
-  else if (result.ends_with("_r")) result.back() = 'l';
+  if (result.ends_with("_l"))
+    result.back() = 'r';
+  else if (result.ends_with("_r"))
+    result.back() = 'l';
   return result;
 }
 
@@ -33,13 +35,16 @@ int node_named(const Rig& rig, const std::string& name) {
 
 void add_joints(const QuadrupedSpec& spec, Rig& rig, std::vector<dvec3>& at) {
   const auto add = [&](const std::string& name, const std::string& parent, const dvec3& place) {
-    if (node_named(rig, name) >= 0) input_error("{}: the joint '{}' occurs twice in [[builder.joints]]; rename one", spec.source, name);
+    if (node_named(rig, name) >= 0)
+      input_error("{}: the joint '{}' occurs twice in [[builder.joints]]; rename one", spec.source, name);
     Node node;
     node.name = name;
     node.parent = parent.empty() ? -1 : node_named(rig, parent);
     if (!parent.empty() && node.parent < 0)
-      input_error("{}: the parent '{}' of joint '{}' is not listed before it in [[builder.joints]]", spec.source, parent, name);
-    if (parent.empty() && !rig.nodes.empty()) input_error("{}: joint '{}' needs a parent; only the first is the root", spec.source, name);
+      input_error("{}: the parent '{}' of joint '{}' is not listed before it in [[builder.joints]]", spec.source,
+                  parent, name);
+    if (parent.empty() && !rig.nodes.empty())
+      input_error("{}: joint '{}' needs a parent; only the first is the root", spec.source, name);
     node.translation = node.parent >= 0 ? place - at[node.parent] : place;
     Bone bone;
     bone.node = static_cast<int>(rig.nodes.size());
@@ -59,7 +64,8 @@ std::vector<vec3> vertex_normals(const HalfMesh& mesh) {
   std::vector<dvec3> sum(mesh.positions.size(), dvec3(0));
   for (const uvec3& t : mesh.triangles)
     for (int k = 0; k < 3; ++k) {
-      const dvec3 p = mesh.positions[t[k]], a = mesh.positions[t[(k + 1) % 3]] - p, b = mesh.positions[t[(k + 2) % 3]] - p;
+      const dvec3 p = mesh.positions[t[k]], a = mesh.positions[t[(k + 1) % 3]] - p,
+                  b = mesh.positions[t[(k + 2) % 3]] - p;
       const dvec3 n = glm::cross(a, b);
       const double length = glm::length(n);
       if (length > 0) sum[t[k]] += n / length * std::atan2(length, glm::dot(a, b));
@@ -79,7 +85,8 @@ std::vector<double> skin_weights(const HalfMesh& mesh, const Field& field, const
   std::vector<double> weights(n * joints), next(n * joints);
   parallel_for(n, 64, [&](std::size_t i) {
     const Influencing f = field.influences(mesh.positions[i]);
-    std::copy(f.joint_weights.begin(), f.joint_weights.end(), weights.begin() + static_cast<std::ptrdiff_t>(i * joints));
+    std::copy(f.joint_weights.begin(), f.joint_weights.end(),
+              weights.begin() + static_cast<std::ptrdiff_t>(i * joints));
   });
   std::vector<std::vector<std::uint32_t>> near(n);
   for (const uvec3& t : mesh.triangles)
@@ -147,7 +154,8 @@ void check_one_body(const QuadrupedSpec& spec, const HalfMesh& mesh) {
   for (std::uint32_t v = 0; v < root.size(); ++v)
     if (find(v) != find(0)) {
       const dvec3& p = mesh.positions[v];
-      input_error("{}: the solids form more than one body, one of them near ({:.2f}, {:.2f}, {:.2f}); let them overlap", spec.source, p.x, p.y, p.z);
+      input_error("{}: the solids form more than one body, one of them near ({:.2f}, {:.2f}, {:.2f}); let them overlap",
+                  spec.source, p.x, p.y, p.z);
     }
 }
 
@@ -177,7 +185,8 @@ Rig build_quadruped(const QuadrupedSpec& spec) {
   std::vector<std::uint16_t> parts(half_triangles);
   parallel_for(half_triangles, 64, [&](std::size_t t) {
     const uvec3& v = half.triangles[t];
-    parts[t] = static_cast<std::uint16_t>(field.influences((half.positions[v.x] + half.positions[v.y] + half.positions[v.z]) / 3.0).part);
+    parts[t] = static_cast<std::uint16_t>(
+        field.influences((half.positions[v.x] + half.positions[v.y] + half.positions[v.z]) / 3.0).part);
   });
   std::vector<std::uint16_t> part_twin;
   for (std::size_t i = 0; i < rig.part_names.size(); ++i) {
@@ -205,7 +214,8 @@ Rig build_quadruped(const QuadrupedSpec& spec) {
       s.rest.push_back(vec3(half.positions[v]) * flip);
       if (half.on_midplane[v]) s.rest.back().y = 0;  // not minus zero: both sides weld bit for bit
       s.normals.push_back(normals[v] * flip);
-      s.uvs.emplace_back(static_cast<float>(chart.flat[k].x), static_cast<float>(1 - chart.flat[k].y));  // (0, 0) is top left
+      s.uvs.emplace_back(static_cast<float>(chart.flat[k].x),
+                         static_cast<float>(1 - chart.flat[k].y));  // (0, 0) is top left
       rig.influence_begin.push_back(static_cast<std::uint32_t>(rig.influences.size()));
       for (Influence i : strongest(&weights[v * names.size()], twin, half.on_midplane[v])) {
         if (right) i.bone = static_cast<std::uint32_t>(twin[i.bone]);
@@ -215,7 +225,9 @@ Rig build_quadruped(const QuadrupedSpec& spec) {
     for (const std::uint32_t t : chart.triangles) {
       uvec3 local;
       for (int k = 0; k < 3; ++k)
-        local[k] = first + static_cast<std::uint32_t>(std::lower_bound(chart.vertices.begin(), chart.vertices.end(), half.triangles[t][k]) - chart.vertices.begin());
+        local[k] = first + static_cast<std::uint32_t>(
+                               std::lower_bound(chart.vertices.begin(), chart.vertices.end(), half.triangles[t][k]) -
+                               chart.vertices.begin());
       if (right) std::swap(local.y, local.z);
       s.triangles.push_back(local);
       s.parts.push_back(right ? part_twin[parts[t]] : parts[t]);

@@ -21,11 +21,11 @@ struct QuadrupedJoint {
 
 // One cross-section of a solid: a superellipse |s / side|^power + |u / up|^power = 1 around `at`.
 struct SolidSection {
-  dvec3 at{0};                           // metres
+  dvec3 at{0};                              // metres
   double side = 0.1, up = 0.1, down = 0.1;  // metres: half widths across, towards and away from Solid::up
-  double power = 2;                      // 2 is an ellipse, more is boxier
-  std::string joint;                     // what skin here moves with; empty: as the section before
-  std::string part;                      // body part here; empty: as the section before
+  double power = 2;                         // 2 is an ellipse, more is boxier
+  std::string joint;                        // what skin here moves with; empty: as the section before
+  std::string part;                         // body part here; empty: as the section before
 };
 
 // A tube through its sections (smoothly interpolated), closed by round caps. With one section: an ellipsoid.
@@ -37,9 +37,9 @@ struct Solid {
   };
   std::string name;  // for messages
   Kind kind = Kind::add;
-  double blend = 0.03;     // metres: radius of the fillet where it meets the solids before it
-  double detail = 1;       // triangle edges here are this times the target edge
-  dvec3 up{0, 0, 1};       // which way `up` of its sections points (made square to the tube's axis)
+  double blend = 0.03;                      // metres: radius of the fillet where it meets the solids before it
+  double detail = 1;                        // triangle edges here are this times the target edge
+  dvec3 up{0, 0, 1};                        // which way `up` of its sections points (made square to the tube's axis)
   double cap_start = 0.02, cap_end = 0.02;  // metres the end caps reach beyond the first and last section
   bool mirror = false;
   std::vector<SolidSection> sections;
@@ -75,13 +75,13 @@ struct TrackSpec {
 
 // A gait in place: planted feet move backwards under the body at walking speed.
 struct GaitSpec {
-  double stride = 1;                // metres the animal would advance per cycle
-  double duty = 0.62;               // share of the cycle a foot is on the ground
-  double lift = 0.1;                // metres the foot rises in its swing
-  double fold_deg = 0;              // peak extra flexion of the `fold` joints of legs without coupling
-  double pastern_deg = 30;          // peak backward flexion of the foot in its swing
-  double blade_deg = 0;             // blade rotation at the ends of a step
-  std::vector<double> phases;       // per LegSpec, left then right of each: when its stance begins, in cycles
+  double stride = 1;           // metres the animal would advance per cycle
+  double duty = 0.62;          // share of the cycle a foot is on the ground
+  double lift = 0.1;           // metres the foot rises in its swing
+  double fold_deg = 0;         // peak extra flexion of the `fold` joints of legs without coupling
+  double pastern_deg = 30;     // peak backward flexion of the foot in its swing
+  double blade_deg = 0;        // blade rotation at the ends of a step
+  std::vector<double> phases;  // per LegSpec, left then right of each: when its stance begins, in cycles
 };
 
 struct ClipSpec {
@@ -94,10 +94,10 @@ struct ClipSpec {
 };
 
 struct QuadrupedSpec {
-  std::string source;            // file, for messages
-  double target_edge = 0.025;    // metres; what triangle edges are like where `detail` is 1
-  double grid = 0.011;           // metres; resolves the thinnest part, whatever the target edge
-  double gutter = 0.004;         // free border around UV charts, share of the atlas' side
+  std::string source;          // file, for messages
+  double target_edge = 0.025;  // metres; what triangle edges are like where `detail` is 1
+  double grid = 0.011;         // metres; resolves the thinnest part, whatever the target edge
+  double gutter = 0.004;       // free border around UV charts, share of the atlas' side
   std::vector<QuadrupedJoint> joints;
   std::vector<Solid> solids;
   std::vector<LegSpec> legs;

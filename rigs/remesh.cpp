@@ -17,7 +17,7 @@ constexpr Index gone = ~Index{0};
 struct Work {
   std::vector<dvec3> position;
   std::vector<std::uint8_t> border;
-  std::vector<double> size;  // wanted edge length, metres
+  std::vector<double> size;     // wanted edge length, metres
   std::vector<uvec3> triangle;  // x == gone: dead
   std::vector<std::vector<Index>> around;
 
@@ -69,7 +69,9 @@ void replace(uvec3& t, Index from, Index to) {
     if (t[k] == from) t[k] = to;
 }
 
-double wanted(const Work& w, Index a, Index b) { return std::min(w.size[a], w.size[b]); }
+double wanted(const Work& w, Index a, Index b) {
+  return std::min(w.size[a], w.size[b]);
+}
 
 void split_edge(Work& w, const Field& field, Index a, Index b) {
   const Sides s = sides_of(w, a, b);
@@ -86,7 +88,7 @@ void split_edge(Work& w, const Field& field, Index a, Index b) {
   for (int i = 0; i < s.count; ++i) {
     const Index t = s.triangle[i], fresh = static_cast<Index>(w.triangle.size());
     uvec3 other = w.triangle[t];
-    replace(other, a, m);        // m, b, opposite
+    replace(other, a, m);          // m, b, opposite
     replace(w.triangle[t], b, m);  // a, m, opposite
     w.triangle.push_back(other);
     detach(w, b, t);
@@ -106,7 +108,8 @@ void split_long(Work& w, const Field& field) {
       double worst = 4.0 / 3.0;
       int edge = -1;
       for (int k = 0; k < 3; ++k) {
-        const double ratio = glm::length(w.position[v[k]] - w.position[v[(k + 1) % 3]]) / wanted(w, v[k], v[(k + 1) % 3]);
+        const double ratio =
+            glm::length(w.position[v[k]] - w.position[v[(k + 1) % 3]]) / wanted(w, v[k], v[(k + 1) % 3]);
         if (ratio > worst) worst = ratio, edge = k;
       }
       if (edge < 0) break;
@@ -127,7 +130,8 @@ bool keeps_facing(const Work& w, Index v, Index other, const dvec3& p) {
     const dvec3 after = glm::cross(x[1] - x[0], x[2] - x[0]);
     const double la = glm::length(before), lb = glm::length(after);
     if (la < 1e-12) continue;  // a sliver faces nowhere
-    const double longest = std::max({glm::dot(x[1] - x[0], x[1] - x[0]), glm::dot(x[2] - x[1], x[2] - x[1]), glm::dot(x[0] - x[2], x[0] - x[2])});
+    const double longest = std::max(
+        {glm::dot(x[1] - x[0], x[1] - x[0]), glm::dot(x[2] - x[1], x[2] - x[1]), glm::dot(x[0] - x[2], x[0] - x[2])});
     if (lb < 0.1 * longest || glm::dot(before, after) < 0.4 * la * lb) return false;
   }
   return true;
@@ -181,13 +185,16 @@ void collapse_short(Work& w) {
   for (Index t = 0; t < w.triangle.size(); ++t)
     for (int k = 0; k < 3 && !w.dead(t); ++k) {
       const Index a = w.triangle[t][k], b = w.triangle[t][(k + 1) % 3];
-      if (glm::length(w.position[a] - w.position[b]) < 4.0 / 5.0 * wanted(w, a, b) && collapse_edge(w, a, b, na, nb)) k = -1;
+      if (glm::length(w.position[a] - w.position[b]) < 4.0 / 5.0 * wanted(w, a, b) && collapse_edge(w, a, b, na, nb))
+        k = -1;
     }
 }
 
 double worst_angle_measure(const Work& w, Index a, Index b, Index c) {  // sine-like: 1 for equilateral, 0 for a sliver
-  const dvec3 ab = w.position[b] - w.position[a], ac = w.position[c] - w.position[a], bc = w.position[c] - w.position[b];
-  return glm::length(glm::cross(ab, ac)) / std::max({glm::dot(ab, ab), glm::dot(ac, ac), glm::dot(bc, bc), 1e-20}) / 0.8660254;
+  const dvec3 ab = w.position[b] - w.position[a], ac = w.position[c] - w.position[a],
+              bc = w.position[c] - w.position[b];
+  return glm::length(glm::cross(ab, ac)) / std::max({glm::dot(ab, ab), glm::dot(ac, ac), glm::dot(bc, bc), 1e-20}) /
+         0.8660254;
 }
 
 // Flips towards valence 6 (4 on the border), or where it mends a sliver.
@@ -207,7 +214,8 @@ void flip_edges(Work& w) {
         const int n = static_cast<int>(w.around[v].size()) + change - best;
         return n * n;
       };
-      const int before = off(a, 0) + off(b, 0) + off(c, 0) + off(d, 0), after = off(a, -1) + off(b, -1) + off(c, 1) + off(d, 1);
+      const int before = off(a, 0) + off(b, 0) + off(c, 0) + off(d, 0),
+                after = off(a, -1) + off(b, -1) + off(c, 1) + off(d, 1);
       const double bad = std::min(worst_angle_measure(w, a, b, c), worst_angle_measure(w, b, a, d));
       const double mended = std::min(worst_angle_measure(w, a, d, c), worst_angle_measure(w, d, b, c));
       if (!(after < before && mended > 0.3) && !(bad < 0.3 && mended > 1.5 * bad)) continue;

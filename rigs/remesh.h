@@ -12,8 +12,8 @@ namespace moomill {
 // The left half of a symmetric body: a manifold whose border lies on y = 0.
 struct HalfMesh {
   std::vector<dvec3> positions;
-  std::vector<uvec3> triangles;            // counter-clockwise seen from outside
-  std::vector<std::uint8_t> on_midplane;   // per vertex: lies on y = 0, which is the border
+  std::vector<uvec3> triangles;           // counter-clockwise seen from outside
+  std::vector<std::uint8_t> on_midplane;  // per vertex: lies on y = 0, which is the border
 };
 
 // Marching tetrahedra on the Kuhn subdivision of a cubic lattice: six tetrahedra per cube share its main diagonal, so

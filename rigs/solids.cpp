@@ -20,7 +20,8 @@ double slope(double h0, double h1, double d0, double d1, bool monotone) {
   return std::clamp(m, -most, most);
 }
 
-double hermite(const std::vector<double>& knots, const std::vector<double>& values, std::size_t i, double f, bool monotone) {
+double hermite(const std::vector<double>& knots, const std::vector<double>& values, std::size_t i, double f,
+               bool monotone) {
   const std::size_t n = values.size();
   const double h = knots[i + 1] - knots[i];
   const auto delta = [&](std::size_t k) { return (values[k + 1] - values[k]) / (knots[k + 1] - knots[k]); };
@@ -28,10 +29,11 @@ double hermite(const std::vector<double>& knots, const std::vector<double>& valu
   const double m0 = i > 0 ? slope(knots[i] - knots[i - 1], h, delta(i - 1), d, monotone) : d;
   const double m1 = i + 2 < n ? slope(h, knots[i + 2] - knots[i + 1], d, delta(i + 1), monotone) : d;
   const double f2 = f * f, f3 = f2 * f;
-  return (2 * f3 - 3 * f2 + 1) * values[i] + (f3 - 2 * f2 + f) * h * m0 + (3 * f2 - 2 * f3) * values[i + 1] + (f3 - f2) * h * m1;
+  return (2 * f3 - 3 * f2 + 1) * values[i] + (f3 - 2 * f2 + f) * h * m0 + (3 * f2 - 2 * f3) * values[i + 1] +
+         (f3 - f2) * h * m1;
 }
 
-void add_points(Shape& shape, const Solid& solid) {
+void add_points(Shape& shape, const Solid& solid, const std::string& source) {
   const auto& sections = solid.sections;
   const std::size_t n = sections.size();
   std::vector<double> knots(n, 0.0);
@@ -41,10 +43,10 @@ void add_points(Shape& shape, const Solid& solid) {
     for (std::size_t i = 0; i < n; ++i) values[i] = get(sections[i]);
     return values;
   };
-  const std::vector<double> x = column([](auto& s) { return s.at.x; }), y = column([](auto& s) { return s.at.y; }),
-                            z = column([](auto& s) { return s.at.z; }), side = column([](auto& s) { return s.side; }),
-                            up = column([](auto& s) { return s.up; }), down = column([](auto& s) { return s.down; }),
-                            power = column([](auto& s) { return s.power; });
+  const std::vector<double> x = column([](auto&s) { return s.at.x; }), y = column([](auto&s) { return s.at.y; }),
+                            z = column([](auto&s) { return s.at.z; }), side = column([](auto&s) { return s.side; }),
+                            up = column([](auto&s) { return s.up; }), down = column([](auto&s) { return s.down; }),
+                            power = column([](auto&s) { return s.power; });
   const std::size_t count = n == 1 ? 1 : (n - 1) * points_per_section + 1;
   for (std::size_t k = 0; k < count; ++k) {
     Shape::Point p{};
@@ -67,7 +69,11 @@ void add_points(Shape& shape, const Solid& solid) {
                             : shape.points[std::min(k + 1, count - 1)].at - shape.points[k > 0 ? k - 1 : 0].at;
     if (glm::length(axis) < 1e-9) axis = {1, 0, 0};
     axis = glm::normalize(axis);
-    shape.points[k].side_axis = glm::normalize(glm::cross(solid.up, axis));
+    const dvec3 across = glm::cross(solid.up, axis);
+    if (glm::length(across) < 0.1 || (k > 0 && glm::dot(across, shape.points[k - 1].side_axis) < 0))
+      input_error("{}: solid '{}' runs along its 'up' somewhere; give it an 'up' that is square to all of its axis",
+                  source, solid.name);
+    shape.points[k].side_axis = glm::normalize(across);
     shape.points[k].up_axis = glm::cross(axis, shape.points[k].side_axis);
     if (k == 0) shape.start_axis = -axis;
     if (k + 1 == count) shape.end_axis = axis;
@@ -114,7 +120,8 @@ ShapeSample sample_shape(const Shape& shape, const dvec3& p) {
   const double s = glm::dot(q, mix(a.side_axis, b.side_axis)), u = glm::dot(q, mix(a.up_axis, b.up_axis));
   const double rs = mix(a.side, b.side), ru = u >= 0 ? mix(a.up, b.up) : mix(a.down, b.down);
   double w = 0, rw = 1;
-  if (best == 0 && best_t == 0 && glm::dot(q, shape.start_axis) > 0) w = glm::dot(q, shape.start_axis), rw = shape.cap_start;
+  if (best == 0 && best_t == 0 && glm::dot(q, shape.start_axis) > 0)
+    w = glm::dot(q, shape.start_axis), rw = shape.cap_start;
   if (best + 2 >= points.size() && (best_t == 1 || points.size() == 1) && glm::dot(q, shape.end_axis) > 0)
     w = glm::dot(q, shape.end_axis), rw = shape.cap_end;
   ShapeSample result;
@@ -154,7 +161,8 @@ FieldSample Field::sample(const dvec3& p) const {
     if (shape.kind == Solid::Kind::paint) continue;
     // Too far to change anything: saves most of the work.
     const dvec3 away = glm::max(dvec3(0.0), glm::max(shape.box.lower - p, p - shape.box.upper));
-    const double limit = shape.kind == Solid::Kind::add ? std::max(f.distance, 0.0) + shape.blend + 0.03 : shape.blend + 0.06;
+    const double limit =
+        shape.kind == Solid::Kind::add ? std::max(f.distance, 0.0) + shape.blend + 0.03 : shape.blend + 0.06;
     if (glm::dot(away, away) > limit * limit) continue;
     const double d = sample_shape(shape, p).distance;
     // Polynomial smooth union (Quilez); carving is the smooth intersection with the outside.
@@ -177,7 +185,8 @@ dvec3 Field::gradient(const dvec3& p) const {
   // Four samples at the corners of a tetrahedron instead of six.
   constexpr double e = 5e-4;
   const dvec3 a(1, -1, -1), b(-1, -1, 1), c(-1, 1, -1), d(1, 1, 1);
-  return (a * distance(p + e * a) + b * distance(p + e * b) + c * distance(p + e * c) + d * distance(p + e * d)) / (4 * e);
+  return (a * distance(p + e * a) + b * distance(p + e * b) + c * distance(p + e * c) + d * distance(p + e * d)) /
+         (4 * e);
 }
 
 dvec3 Field::project(const dvec3& start, int steps, bool on_midplane) const {
@@ -259,13 +268,14 @@ Field build_field(const QuadrupedSpec& spec, const std::vector<std::string>& joi
       if (!s.part.empty()) part = s.part;
       const auto found = std::find(joint_names.begin(), joint_names.end(), joint);
       if (found == joint_names.end() && solid.kind == Solid::Kind::add)
-        input_error("{}: solid '{}' names the joint '{}', which is not in [[builder.joints]]", spec.source, solid.name, joint);
+        input_error("{}: solid '{}' names the joint '{}', which is not in [[builder.joints]]", spec.source, solid.name,
+                    joint);
       if (part.empty() && solid.kind != Solid::Kind::carve)
         input_error("{}: solid '{}' has no part; give its first section one", spec.source, solid.name);
       shape.joints.push_back(found == joint_names.end() ? 0 : static_cast<int>(found - joint_names.begin()));
       shape.parts.push_back(part.empty() ? 0 : part_index(part));
     }
-    add_points(shape, solid);
+    add_points(shape, solid, spec.source);
     if (solid.kind == Solid::Kind::add) {
       field.box.add(shape.box.lower);
       field.box.add(shape.box.upper);
@@ -287,12 +297,14 @@ Field build_field(const QuadrupedSpec& spec, const std::vector<std::string>& joi
     double most = field.shapes[i].blend;
     for (std::size_t j = i + 1; j < field.shapes.size(); ++j) {
       const Shape& later = field.shapes[j];
-      if (box_distance(field.shapes[i].box, later.box.lower, later.box.upper) < 2 * later.blend) most = std::max(most, later.blend);
+      if (box_distance(field.shapes[i].box, later.box.lower, later.box.upper) < 2 * later.blend)
+        most = std::max(most, later.blend);
     }
     reach.push_back(most + 0.06);
   }
   const dvec3 size = field.box.size() / field.cell;
-  field.nx = static_cast<int>(size.x) + 1, field.ny = static_cast<int>(size.y) + 1, field.nz = static_cast<int>(size.z) + 1;
+  field.nx = static_cast<int>(size.x) + 1, field.ny = static_cast<int>(size.y) + 1,
+  field.nz = static_cast<int>(size.z) + 1;
   field.near.resize(static_cast<std::size_t>(field.nx) * field.ny * field.nz);
   for (int z = 0; z < field.nz; ++z)
     for (int y = 0; y < field.ny; ++y)
@@ -300,8 +312,7 @@ Field build_field(const QuadrupedSpec& spec, const std::vector<std::string>& joi
         const dvec3 lower = field.box.lower + field.cell * dvec3(x, y, z), upper = lower + field.cell;
         auto& list = field.near[(static_cast<std::size_t>(z) * field.ny + y) * field.nx + x];
         for (std::size_t i = 0; i < field.shapes.size(); ++i)
-          if (box_distance(field.shapes[i].box, lower, upper) < reach[i])
-            list.push_back(static_cast<std::uint16_t>(i));
+          if (box_distance(field.shapes[i].box, lower, upper) < reach[i]) list.push_back(static_cast<std::uint16_t>(i));
       }
   return field;
 }

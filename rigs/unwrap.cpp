@@ -66,7 +66,8 @@ std::vector<int> grow(const Faces& f, std::vector<Proxy>& proxies) {
       if (chart[t] != none) continue;
       chart[t] = c;
       for (const int u : f.beside[t])
-        if (u != none && chart[u] == none && glm::dot(f.normal[u], proxies[c].normal) > least_facing) queue.emplace(cost(u, c), u, c);
+        if (u != none && chart[u] == none && glm::dot(f.normal[u], proxies[c].normal) > least_facing)
+          queue.emplace(cost(u, c), u, c);
     }
   };
   for (std::size_t c = 0; c < proxies.size(); ++c) queue.emplace(-1.0, proxies[c].seed, static_cast<int>(c));
@@ -130,7 +131,8 @@ std::vector<std::vector<Index>> components(const Faces& f, const std::vector<int
   return result;
 }
 
-Chart flatten(const std::vector<dvec3>& positions, const std::vector<uvec3>& triangles, const Faces& f, std::vector<Index> part) {
+Chart flatten(const std::vector<dvec3>& positions, const std::vector<uvec3>& triangles, const Faces& f,
+              std::vector<Index> part) {
   Chart chart;
   dvec3 normal(0);
   for (const Index t : part) {
@@ -142,7 +144,8 @@ Chart flatten(const std::vector<dvec3>& positions, const std::vector<uvec3>& tri
   chart.vertices.erase(std::unique(chart.vertices.begin(), chart.vertices.end()), chart.vertices.end());
   const dvec3 helper = std::abs(normal.z) < 0.9 ? dvec3(0, 0, 1) : dvec3(1, 0, 0);
   const dvec3 right = glm::normalize(glm::cross(helper, normal)), up = glm::cross(normal, right);
-  for (const Index v : chart.vertices) chart.flat.emplace_back(glm::dot(positions[v], right), glm::dot(positions[v], up));
+  for (const Index v : chart.vertices)
+    chart.flat.emplace_back(glm::dot(positions[v], right), glm::dot(positions[v], up));
   std::sort(part.begin(), part.end());
   chart.triangles = std::move(part);
   return chart;
@@ -152,7 +155,9 @@ dvec2 flat_of(const Chart& chart, Index vertex) {
   return chart.flat[std::lower_bound(chart.vertices.begin(), chart.vertices.end(), vertex) - chart.vertices.begin()];
 }
 
-double cross2(const dvec2& a, const dvec2& b) { return a.x * b.y - a.y * b.x; }
+double cross2(const dvec2& a, const dvec2& b) {
+  return a.x * b.y - a.y * b.x;
+}
 
 // True when some triangle is turned over or two triangles cover a point of a fine grid.
 bool overlaps_itself(const Chart& chart, const std::vector<uvec3>& triangles) {
@@ -162,7 +167,8 @@ bool overlaps_itself(const Chart& chart, const std::vector<uvec3>& triangles) {
   const double step = std::max(upper.x - lower.x, upper.y - lower.y) / cells;
   std::vector<std::uint8_t> covered(static_cast<std::size_t>(cells + 1) * (cells + 1), 0);
   for (const Index t : chart.triangles) {
-    const dvec2 a = (flat_of(chart, triangles[t].x) - lower) / step, b = (flat_of(chart, triangles[t].y) - lower) / step,
+    const dvec2 a = (flat_of(chart, triangles[t].x) - lower) / step,
+                b = (flat_of(chart, triangles[t].y) - lower) / step,
                 c = (flat_of(chart, triangles[t].z) - lower) / step;
     const double area = cross2(b - a, c - a);
     if (area <= 0) return true;
@@ -199,7 +205,9 @@ std::array<std::vector<Index>, 2> halve(const Faces& f, const std::vector<Index>
     }
     return d;
   };
-  const auto farthest = [](const std::vector<double>& d) { return static_cast<int>(std::max_element(d.begin(), d.end()) - d.begin()); };
+  const auto farthest = [](const std::vector<double>& d) {
+    return static_cast<int>(std::max_element(d.begin(), d.end()) - d.begin());
+  };
   const int a = farthest(distances(0));
   const std::vector<double> from_a = distances(a);
   const std::vector<double> from_b = distances(farthest(from_a));
@@ -226,7 +234,8 @@ dvec2 lay_flat(Chart& chart) {
   double best = 0, least = std::numeric_limits<double>::infinity();
   for (int i = 0; i < 36; ++i) {
     const auto [lower, upper] = extent(i * 5 * degrees);
-    const double area = (upper.x - lower.x) * (upper.y - lower.y) * (upper.x >= upper.y - lower.y + lower.x ? 1.0 : 1.0001);
+    const double area =
+        (upper.x - lower.x) * (upper.y - lower.y) * (upper.x >= upper.y - lower.y + lower.x ? 1.0 : 1.0001);
     if (area < least * 0.99999) least = area, best = i * 5 * degrees;
   }
   const auto [l, u] = extent(best);

@@ -51,8 +51,10 @@ ProceduralCoat read_procedural(TomlReader& r) {
   auto patches = r.table("patches"), plain = r.table("plain");
   if (patches && plain) r.fail("plain", "cannot stand beside [patches]; leave one of them out");
   if (!patches && !plain) r.fail("patches", "is missing; give the coat [patches], [plain] or image = \"file.png\"");
-  if (patches) coat.base = read_patches(*patches);
-  else coat.base = read_plain(*plain);
+  if (patches)
+    coat.base = read_patches(*patches);
+  else
+    coat.base = read_plain(*plain);
   if (auto f = r.table("freckles")) {
     coat.freckles.color = color(*f, "color", coat.freckles.color);
     coat.freckles.density = f->number("density", 0.05, 0, 0.25);

@@ -39,7 +39,8 @@ Solid read_solid(TomlReader r) {
   if (s.sections[0].part.empty()) s.sections[0].part = part;
   if (s.sections[0].joint.empty()) s.sections[0].joint = joint;
   for (std::size_t i = 1; i < s.sections.size(); ++i)
-    if (glm::length(s.sections[i].at - s.sections[i - 1].at) < 1e-4) r.fail("sections", fmt::format("{} and {} are at the same place; move one", i - 1, i));
+    if (glm::length(s.sections[i].at - s.sections[i - 1].at) < 1e-4)
+      r.fail("sections", fmt::format("{} and {} are at the same place; move one", i - 1, i));
   // Unless told, caps are as round as the ends are thick.
   const auto cap = [&](const SolidSection& e) { return std::min(e.side, 0.5 * (e.up + e.down)); };
   s.cap_start = r.number("cap_start_m", r.number("cap_m", cap(s.sections.front()), 1e-4, far), 1e-4, far);
@@ -84,8 +85,10 @@ TrackSpec read_track(TomlReader r) {
       r.fail("times", "must ascend within [0, 1]; they are shares of the clip");
   const std::vector<double> angles = r.numbers("rotation_deg");
   if (angles.size() != 3 * t.times.size())
-    r.fail("rotation_deg", fmt::format("must hold three angles for each of the {} times, {} numbers, not {}", t.times.size(), 3 * t.times.size(), angles.size()));
-  for (std::size_t i = 0; i < angles.size(); i += 3) t.rotation_deg.emplace_back(angles[i], angles[i + 1], angles[i + 2]);
+    r.fail("rotation_deg", fmt::format("must hold three angles for each of the {} times, {} numbers, not {}",
+                                       t.times.size(), 3 * t.times.size(), angles.size()));
+  for (std::size_t i = 0; i < angles.size(); i += 3)
+    t.rotation_deg.emplace_back(angles[i], angles[i + 1], angles[i + 2]);
   r.finish();
   return t;
 }

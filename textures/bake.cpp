@@ -16,7 +16,9 @@ namespace {
 constexpr std::uint32_t nobody = 0xffffffffu;
 constexpr int band = 32;  // rows rasterised by one thread at a time
 
-double cross2(const dvec2& a, const dvec2& b) { return a.x * b.y - a.y * b.x; }
+double cross2(const dvec2& a, const dvec2& b) {
+  return a.x * b.y - a.y * b.x;
+}
 
 struct Corners {
   dvec2 a, b, c;  // texels
@@ -25,7 +27,8 @@ struct Corners {
 
 Corners corners_of(const Surface& s, std::uint32_t t, int resolution) {
   const uvec3& v = s.triangles[t];
-  Corners k{dvec2(s.uvs[v.x]) * double(resolution), dvec2(s.uvs[v.y]) * double(resolution), dvec2(s.uvs[v.z]) * double(resolution), 0};
+  Corners k{dvec2(s.uvs[v.x]) * double(resolution), dvec2(s.uvs[v.y]) * double(resolution),
+            dvec2(s.uvs[v.z]) * double(resolution), 0};
   k.area = cross2(k.b - k.a, k.c - k.a);
   return k;
 }
@@ -44,7 +47,8 @@ ImageU32 texel_owners(const Surface& s, int resolution, int rings) {
     const Corners k = corners_of(s, t, resolution);
     if (k.area == 0 || !std::isfinite(k.area)) continue;
     const double low = std::min({k.a.y, k.b.y, k.c.y}), high = std::max({k.a.y, k.b.y, k.c.y});
-    const int first = std::clamp(static_cast<int>(low), 0, resolution - 1) / band, last = std::clamp(static_cast<int>(high), 0, resolution - 1) / band;
+    const int first = std::clamp(static_cast<int>(low), 0, resolution - 1) / band,
+              last = std::clamp(static_cast<int>(high), 0, resolution - 1) / band;
     for (int b = first; b <= last; ++b) bands[b].push_back(t);
   }
   parallel_for(bands.size(), 1, [&](std::size_t b) {
@@ -67,7 +71,8 @@ ImageU32 texel_owners(const Surface& s, int resolution, int rings) {
       const std::size_t i = owner.index(x, y);
       if (owner.data[i] == nobody) continue;
       const bool edge = (x > 0 && owner.data[i - 1] == nobody) || (x + 1 < resolution && owner.data[i + 1] == nobody) ||
-                        (y > 0 && owner.data[i - resolution] == nobody) || (y + 1 < resolution && owner.data[i + resolution] == nobody);
+                        (y > 0 && owner.data[i - resolution] == nobody) ||
+                        (y + 1 < resolution && owner.data[i + resolution] == nobody);
       if (edge) front.push_back(i);
     }
   for (int ring = 0; ring < rings; ++ring) {
@@ -87,7 +92,9 @@ ImageU32 texel_owners(const Surface& s, int resolution, int rings) {
 }
 
 struct VecHash {
-  std::size_t operator()(const std::array<std::uint32_t, 3>& v) const { return (v[0] * 0x9e3779b97f4a7c15ull ^ v[1]) * 0xbf58476d1ce4e5b9ull ^ v[2]; }
+  std::size_t operator()(const std::array<std::uint32_t, 3>& v) const {
+    return (v[0] * 0x9e3779b97f4a7c15ull ^ v[1]) * 0xbf58476d1ce4e5b9ull ^ v[2];
+  }
 };
 
 // Vertices of equal position are one here.
@@ -111,8 +118,8 @@ struct PartField {
   float half_width = 0.5f;   // of the fade, in units of cover
 };
 
-PartField part_field(const Surface& s, const std::vector<std::uint8_t>& in_part, const std::vector<std::uint32_t>& id, std::size_t count,
-                     double softness) {
+PartField part_field(const Surface& s, const std::vector<std::uint8_t>& in_part, const std::vector<std::uint32_t>& id,
+                     std::size_t count, double softness) {
   std::vector<double> area(count, 0.0), inside(count, 0.0);
   for (std::size_t t = 0; t < s.triangles.size(); ++t) {
     const uvec3& v = s.triangles[t];
@@ -139,7 +146,8 @@ PartField part_field(const Surface& s, const std::vector<std::uint8_t>& in_part,
   double slope = 0, weight = 0;
   for (const uvec3& v : s.triangles)
     for (int k = 0; k < 3; ++k) {
-      const double a = value[id[v[k]]], b = value[id[v[(k + 1) % 3]]], length = glm::length(s.rest[v[k]] - s.rest[v[(k + 1) % 3]]);
+      const double a = value[id[v[k]]], b = value[id[v[(k + 1) % 3]]],
+                   length = glm::length(s.rest[v[k]] - s.rest[v[(k + 1) % 3]]);
       if ((a < 0.5) != (b < 0.5) && length > 0) slope += std::abs(a - b) / length, weight += 1;
     }
   PartField field;
@@ -165,10 +173,12 @@ struct SrgbEncoder {
 
 }  // namespace
 
-Image8 bake_coat(const ProceduralCoat& given, const Surface& s, const std::vector<std::string>& part_names, int resolution) {
+Image8 bake_coat(const ProceduralCoat& given, const Surface& s, const std::vector<std::string>& part_names,
+                 int resolution) {
   if (s.uvs.size() != s.rest.size() || s.uvs.empty())
     input_error("the rig has no UVs, so no coat can be baked for it; give it UVs or use its own materials");
-  if (resolution < 1 || resolution > 32768) input_error("a coat cannot have {} texels a side; choose 1 to 32768", resolution);
+  if (resolution < 1 || resolution > 32768)
+    input_error("a coat cannot have {} texels a side; choose 1 to 32768", resolution);
   const ProceduralCoat coat = calibrated(given, s);
   const ImageU32 owner = texel_owners(s, resolution, std::max(2, resolution / 256));
 
@@ -178,7 +188,8 @@ Image8 bake_coat(const ProceduralCoat& given, const Surface& s, const std::vecto
   parallel_for(coat.parts.size(), 1, [&](std::size_t i) {
     std::vector<std::uint8_t> in_part(s.triangles.size(), 0);
     for (std::size_t t = 0; t < s.triangles.size(); ++t)
-      in_part[t] = t < s.parts.size() && s.parts[t] < part_names.size() && part_has_color(coat.parts[i], part_names[s.parts[t]]);
+      in_part[t] =
+          t < s.parts.size() && s.parts[t] < part_names.size() && part_has_color(coat.parts[i], part_names[s.parts[t]]);
     fields[i] = part_field(s, in_part, id, count, coat.parts[i].softness);
   });
 
@@ -195,7 +206,8 @@ Image8 bake_coat(const ProceduralCoat& given, const Surface& s, const std::vecto
       vec3 color = coat_color_without_parts(coat, at);
       for (std::size_t i = 0; i < fields.size(); ++i) {
         const std::vector<float>& c = fields[i].cover;
-        const float cover = static_cast<float>(w.x) * c[v.x] + static_cast<float>(w.y) * c[v.y] + static_cast<float>(w.z) * c[v.z];
+        const float cover =
+            static_cast<float>(w.x) * c[v.x] + static_cast<float>(w.y) * c[v.y] + static_cast<float>(w.z) * c[v.z];
         const float f = std::clamp((cover - 0.5f) / (2 * fields[i].half_width) + 0.5f, 0.0f, 1.0f);
         if (f > 0) color = glm::mix(color, coat.parts[i].color, f * f * (3 - 2 * f));
       }

@@ -13,7 +13,17 @@ namespace moomill {
 namespace {
 
 // One stream of noise per use, or patches and freckles of one seed would follow each other.
-enum Stream : std::uint64_t { patch_shape, patch_detail, patch_border, freckle, freckle_shape, tuft, dirt, mark_border, plain };
+enum Stream : std::uint64_t {
+  patch_shape,
+  patch_detail,
+  patch_border,
+  freckle,
+  freckle_shape,
+  tuft,
+  dirt,
+  mark_border,
+  plain
+};
 
 std::uint32_t key(std::uint64_t seed, Stream stream, std::uint64_t more = 0) {
   return static_cast<std::uint32_t>(hash_identity({seed, stream, more}));
@@ -46,7 +56,8 @@ vec3 patches(const PatchPattern& p, const dvec3& at, std::uint64_t seed) {
   const double reach = 1.8 * p.raggedness * per_metre, soft = 0.5 * p.edge_softness * per_metre;
   if (std::abs(level) < reach + soft)
     level += p.raggedness * per_metre *
-             (1.6 * gradient_noise(at / 0.07, key(seed, patch_border, 0)) + 0.9 * gradient_noise(at / 0.027, key(seed, patch_border, 1)) +
+             (1.6 * gradient_noise(at / 0.07, key(seed, patch_border, 0)) +
+              0.9 * gradient_noise(at / 0.027, key(seed, patch_border, 1)) +
               0.5 * gradient_noise(at / 0.009, key(seed, patch_border, 2)));
   return glm::mix(p.ground, p.patch, static_cast<float>(ramp(-soft, soft, level)));
 }
@@ -61,16 +72,18 @@ vec3 plain_color(const PlainPattern& p, const dvec3& at, std::uint64_t seed) {
 // cover the same share of any surface as of space.
 double freckle_cover(const Freckles& f, const dvec3& where, std::uint64_t seed) {
   if (f.density <= 0) return 0;
-  constexpr double cell = 1.3;                   // in freckle sizes; no ball reaches farther than half a cell
-  constexpr double mean_volume = 0.5628;         // of balls with radii uniform in [0.35, 0.65]
+  constexpr double cell = 1.3;            // in freckle sizes; no ball reaches farther than half a cell
+  constexpr double mean_volume = 0.5628;  // of balls with radii uniform in [0.35, 0.65]
   const double presence = std::min(1.0, f.density * cell * cell * cell / mean_volume);
   const std::uint32_t shape = key(seed, freckle_shape);
-  const dvec3 wobble(gradient_noise(where / (0.5 * f.size), shape), gradient_noise(where / (0.5 * f.size) + 57.3, shape), 0);
+  const dvec3 wobble(gradient_noise(where / (0.5 * f.size), shape),
+                     gradient_noise(where / (0.5 * f.size) + 57.3, shape), 0);
   const dvec3 q = where / (cell * f.size) + 0.12 * wobble;
   const dvec3 base = glm::floor(q - 0.5);
   double cover = 0;
   for (int k = 0; k < 8; ++k) {
-    const int x = static_cast<int>(base.x) + (k & 1), y = static_cast<int>(base.y) + (k >> 1 & 1), z = static_cast<int>(base.z) + (k >> 2);
+    const int x = static_cast<int>(base.x) + (k & 1), y = static_cast<int>(base.y) + (k >> 1 & 1),
+              z = static_cast<int>(base.z) + (k >> 2);
     const std::uint32_t h = hash_cell(x, y, z, key(seed, freckle));
     if ((h >> 8) * 0x1.0p-24 >= presence) continue;
     const std::uint64_t more = mix64(h);
@@ -99,20 +112,25 @@ bool matches(const std::string& pattern, const std::string& part) {
 
 }  // namespace
 
-bool part_has_color(const PartColor& color, const std::string& part) { return matches(color.part, part); }
+bool part_has_color(const PartColor& color, const std::string& part) {
+  return matches(color.part, part);
+}
 
 vec3 coat_color_without_parts(const ProceduralCoat& coat, const dvec3& at) {
-  vec3 color = std::holds_alternative<PatchPattern>(coat.base) ? patches(std::get<PatchPattern>(coat.base), at, coat.seed)
-                                                               : plain_color(std::get<PlainPattern>(coat.base), at, coat.seed);
+  vec3 color = std::holds_alternative<PatchPattern>(coat.base)
+                   ? patches(std::get<PatchPattern>(coat.base), at, coat.seed)
+                   : plain_color(std::get<PlainPattern>(coat.base), at, coat.seed);
   color = glm::mix(color, coat.freckles.color, static_cast<float>(freckle_cover(coat.freckles, at, coat.seed)));
   for (std::size_t i = 0; i < coat.marks.size(); ++i)
-    color = glm::mix(color, coat.marks[i].color, static_cast<float>(mark_cover(coat.marks[i], at, key(coat.seed, mark_border, i))));
+    color = glm::mix(color, coat.marks[i].color,
+                     static_cast<float>(mark_cover(coat.marks[i], at, key(coat.seed, mark_border, i))));
   return color;
 }
 
 float fur_shade(const ProceduralCoat& coat, const dvec3& at) {
   if (coat.fur <= 0) return 1;
-  const double v = 1.6 * gradient_noise(at / dvec3(0.010, 0.006, 0.014), key(coat.seed, tuft)) + 0.8 * gradient_noise(at / 0.12, key(coat.seed, dirt));
+  const double v = 1.6 * gradient_noise(at / dvec3(0.010, 0.006, 0.014), key(coat.seed, tuft)) +
+                   0.8 * gradient_noise(at / 0.12, key(coat.seed, dirt));
   return static_cast<float>(std::max(0.0, 1 + coat.fur * v));
 }
 
@@ -129,7 +147,8 @@ ProceduralCoat calibrated(ProceduralCoat coat, const Surface& surface) {
   });
   std::vector<std::uint32_t> order(n);
   std::iota(order.begin(), order.end(), 0u);
-  std::sort(order.begin(), order.end(), [&](auto a, auto b) { return level[a] != level[b] ? level[a] > level[b] : a < b; });
+  std::sort(order.begin(), order.end(),
+            [&](auto a, auto b) { return level[a] != level[b] ? level[a] > level[b] : a < b; });
   const double wanted = pattern->share * std::accumulate(area.begin(), area.end(), 0.0);
   double covered = 0;
   pattern->threshold = level[order.back()] - 1;

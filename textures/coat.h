@@ -23,8 +23,8 @@ struct PatchPattern {
   double share = 0.5;                // about which share of the surface the patches cover
   double raggedness = 0.02;          // border displacement
   double edge_softness = 0.004;
-  double low = 0, high = 0;          // heights: no patches below `low`, as many as ever above `high` (white legs)
-  std::optional<double> threshold;   // noise level where patches begin; calibrated() sets it so that `share` holds
+  double low = 0, high = 0;         // heights: no patches below `low`, as many as ever above `high` (white legs)
+  std::optional<double> threshold;  // noise level where patches begin; calibrated() sets it so that `share` holds
 };
 
 // One colour with a slow variation, optionally lighter belly.
@@ -52,7 +52,7 @@ struct Mark {
   dvec3 at{0}, radii{0.1};  // metres
   vec3 color{0.85f};
   double raggedness = 0.01, softness = 0.005;  // metres
-  bool mirror = false;      // also at -y
+  bool mirror = false;                         // also at -y
 };
 
 struct ProceduralCoat {
@@ -84,9 +84,9 @@ ProceduralCoat calibrated(ProceduralCoat coat, const Surface& surface);
 // colours end sharply here; bake_coat() fades them. A coat that is not calibrated() meets its share only on average.
 vec3 coat_color(const ProceduralCoat& coat, const dvec3& neutral, const vec3& normal, const std::string& part);
 
-// Bakes a procedural coat, calibrated, over the surface's UV atlas: 8-bit sRGB, 3 channels, resolution x resolution, with the
-// islands' colours bled outwards so that bilinear look-ups never meet an unpainted texel. Parallel, deterministic.
-// Throws InputError when the surface has no UVs.
+// Bakes a procedural coat, calibrated, over the surface's UV atlas: 8-bit sRGB, 3 channels, resolution x resolution,
+// with the islands' colours bled outwards so that bilinear look-ups never meet an unpainted texel. Parallel,
+// deterministic. Throws InputError when the surface has no UVs.
 Image8 bake_coat(const ProceduralCoat& coat, const Surface& surface, const std::vector<std::string>& part_names,
                  int resolution);
 

@@ -3,8 +3,8 @@
 namespace moomill {
 
 std::uint32_t hash_cell(int x, int y, int z, std::uint32_t seed) {
-  std::uint32_t h = seed ^ (static_cast<std::uint32_t>(x) * 0x8da6b343u) ^ (static_cast<std::uint32_t>(y) * 0xd8163841u) ^
-                    (static_cast<std::uint32_t>(z) * 0xcb1ab31fu);
+  std::uint32_t h = seed ^ (static_cast<std::uint32_t>(x) * 0x8da6b343u) ^
+                    (static_cast<std::uint32_t>(y) * 0xd8163841u) ^ (static_cast<std::uint32_t>(z) * 0xcb1ab31fu);
   // A 32-bit finaliser with low bias (C. Wellons, "Prospecting for hash functions", 2018).
   h = (h ^ (h >> 16)) * 0x7feb352du;
   h = (h ^ (h >> 15)) * 0x846ca68bu;
@@ -15,22 +15,39 @@ namespace {
 
 double corner(std::uint32_t hash, double x, double y, double z) {
   switch (hash & 15u) {  // the twelve edges of a cube, four of them twice
-    case 0: case 12: return x + y;
-    case 1: case 13: return -x + y;
-    case 2: return x - y;
-    case 3: return -x - y;
-    case 4: return x + z;
-    case 5: return -x + z;
-    case 6: return x - z;
-    case 7: return -x - z;
-    case 8: return y + z;
-    case 9: case 14: return -y + z;
-    case 10: return y - z;
-    default: return -y - z;
+    case 0:
+    case 12:
+      return x + y;
+    case 1:
+    case 13:
+      return -x + y;
+    case 2:
+      return x - y;
+    case 3:
+      return -x - y;
+    case 4:
+      return x + z;
+    case 5:
+      return -x + z;
+    case 6:
+      return x - z;
+    case 7:
+      return -x - z;
+    case 8:
+      return y + z;
+    case 9:
+    case 14:
+      return -y + z;
+    case 10:
+      return y - z;
+    default:
+      return -y - z;
   }
 }
 
-double fade(double t) { return t * t * t * (t * (t * 6 - 15) + 10); }
+double fade(double t) {
+  return t * t * t * (t * (t * 6 - 15) + 10);
+}
 
 }  // namespace
 

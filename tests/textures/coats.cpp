@@ -1,0 +1,171 @@
+// Coats: the pattern functions, baking, and the coats that ship.
+#include <doctest/doctest.h>
+
+#include <array>
+#include <map>
+
+#include "generator/core/error.h"
+#include "generator/core/parallel.h"
+#include "scenes/scene.h"
+#include "textures/coat.h"
+
+using namespace moomill;
+
+namespace {
+
+const Species& cow() {
+  static const Species species = read_species("cow", NnopcsNormalization::box, ".");
+  return species;
+}
+
+const ProceduralCoat& shipped(const std::string& name, std::map<std::string, Coat>& store) {
+  return std::get<ProceduralCoat>(store.try_emplace(name, read_coat(name, "cow", ".")).first->second.source);
+}
+
+Image8 bake(const std::string& name, int resolution) {
+  std::map<std::string, Coat> store;
+  return bake_coat(shipped(name, store), cow().rig.surface, cow().rig.part_names, resolution);
+}
+
+// Bilinear, texel centres at half integers; (0, 0) is the top left corner.
+dvec3 lookup(const Image8& image, const vec2& uv) {
+  const double x = uv.x * image.width - 0.5, y = uv.y * image.height - 0.5;
+  const int x0 = static_cast<int>(std::floor(x)), y0 = static_cast<int>(std::floor(y));
+  dvec3 sum(0);
+  for (int k = 0; k < 4; ++k) {
+    const int u = std::clamp(x0 + (k & 1), 0, image.width - 1), v = std::clamp(y0 + (k >> 1), 0, image.height - 1);
+    const double w = ((k & 1) ? x - x0 : 1 - (x - x0)) * ((k >> 1) ? y - y0 : 1 - (y - y0));
+    for (int c = 0; c < 3; ++c) sum[c] += w * image.at(u, v, c);
+  }
+  return sum;
+}
+
+double mean_difference(const Image8& a, const Image8& b) {
+  double sum = 0;
+  for (std::size_t i = 0; i < a.data.size(); ++i) sum += std::abs(int(a.data[i]) - int(b.data[i]));
+  return sum / static_cast<double>(a.data.size());
+}
+
+}  // namespace
+
+TEST_CASE("Twelve coats ship, in the order of their index, and all bake") {
+  const std::vector<std::string> names = shipped_coats("cow");
+  REQUIRE(names.size() == 12);
+  const std::array<std::string, 12> begin = {
+      "00_holstein", "01_brown_spotted", "02_brown_freckled", "03_white", "04_black_freckled", "05_holstein",
+      "06_holstein", "07_holstein",      "08_holstein",       "09_grey",  "10_white",          "11_limousin"};
+  std::map<std::string, Image8> baked;
+  for (int i = 0; i < 12; ++i) {
+    CHECK(names[i].starts_with(begin[i]));
+    baked[names[i]] = bake(names[i], 256);
+  }
+  // All differ; the two pairs only a little, the others a lot.
+  for (int i = 0; i < 12; ++i)
+    for (int j = i + 1; j < 12; ++j) {
+      const double d = mean_difference(baked[names[i]], baked[names[j]]);
+      INFO(names[i], " ", names[j], " ", d);
+      const bool alike = (i == 9 && j == 10) || (i == 1 && j == 11);
+      CHECK(d > 1);
+      if (alike)
+        CHECK(d < 12);
+      else
+        CHECK(d > 12);
+    }
+}
+
+TEST_CASE("A baked coat is the same for any number of threads") {
+  const auto run = [](int threads) {
+    tbb::task_arena arena(threads);
+    return arena.execute([] { return bake("06_holstein_freckled", 256).data; });
+  };
+  CHECK(run(1) == run(2));
+}
+
+TEST_CASE("The colours on both sides of a UV seam agree") {
+  const Image8 image = bake("00_holstein", 2048);
+  const Surface& s = cow().rig.surface;
+  std::map<std::array<float, 3>, std::vector<std::uint32_t>> at;
+  for (std::uint32_t v = 0; v < s.rest.size(); ++v) at[{s.rest[v].x, s.rest[v].y, s.rest[v].z}].push_back(v);
+  double sum = 0;
+  int pairs = 0, far = 0;
+  for (const auto& [unused, list] : at)
+    for (std::size_t i = 1; i < list.size(); ++i) {
+      const double d = glm::length(lookup(image, s.uvs[list[0]]) - lookup(image, s.uvs[list[i]]));
+      sum += d;
+      ++pairs;
+      far += d > 60;  // only where a patch border runs through the vertex, and then by part of a texel
+    }
+  REQUIRE(pairs > 500);
+  CHECK(sum / pairs < 4);
+  CHECK(far < 0.01 * pairs);
+}
+
+TEST_CASE("Patches cover the share they are asked for") {
+  const Surface& s = cow().rig.surface;
+  for (const double share : {0.2, 0.5, 0.7}) {
+    ProceduralCoat coat;
+    PatchPattern p;
+    p.share = share;
+    coat.base = p;
+    coat.seed = 5;
+    coat.fur = 0;
+    const ProceduralCoat ready = calibrated(coat, s);
+    double covered = 0, total = 0;
+    for (const uvec3& t : s.triangles) {
+      const dvec3 a(s.rest[t.x]), b(s.rest[t.y]), c(s.rest[t.z]);
+      const double area = glm::length(glm::cross(b - a, c - a));
+      const vec3 color = coat_color(ready, (a + b + c) / 3.0, vec3(0, 0, 1), "torso");
+      covered += area * (p.ground.x - color.x) / (p.ground.x - p.patch.x);
+      total += area;
+    }
+    CHECK(covered / total == doctest::Approx(share).epsilon(0.06));
+  }
+}
+
+TEST_CASE("Freckles cover the share they are asked for, on average over space") {
+  ProceduralCoat coat;
+  coat.base = PlainPattern{vec3(1), 0, 1};
+  coat.fur = 0;
+  coat.freckles = {vec3(0), 0.1, 0.02};
+  double covered = 0;
+  constexpr int n = 200;
+  for (int i = 0; i < n; ++i)
+    for (int j = 0; j < n; ++j)
+      covered += 1 - coat_color(coat, {i * 0.0071, j * 0.0053, 0.37 + i * 0.003}, vec3(0, 0, 1), "torso").x;
+  CHECK(covered / (n * n) == doctest::Approx(0.1).epsilon(0.2));
+}
+
+TEST_CASE("Part colours go by name or by its beginning; colours stay within [0, 1]") {
+  ProceduralCoat coat;
+  coat.base = PlainPattern{vec3(1), 0.5, 0.2};
+  coat.fur = 0.5;
+  coat.parts = {{"hoof_*", vec3(0.2f), 0.01}, {"muzzle", vec3(0.4f), 0.01}};
+  for (int i = 0; i < 200; ++i) {
+    const dvec3 p(0.013 * i, 0.007 * i, 0.5);
+    const vec3 c = coat_color(coat, p, vec3(0, 0, 1), "torso");
+    CHECK(c.x >= 0);
+    CHECK(c.x <= 1);
+  }
+  coat.fur = 0;
+  CHECK(coat_color(coat, dvec3(0), vec3(0, 0, 1), "hoof_fore_left") == vec3(0.2f));
+  CHECK(coat_color(coat, dvec3(0), vec3(0, 0, 1), "muzzle") == vec3(0.4f));
+}
+
+TEST_CASE("Bare skin is coloured by part in the bake") {
+  const Image8 image = bake("11_limousin", 512);
+  const Surface& s = cow().rig.surface;
+  for (std::size_t t = 0; t < s.triangles.size(); ++t) {
+    if (cow().rig.part_names[s.parts[t]] != "muzzle") continue;
+    const uvec3& v = s.triangles[t];
+    const dvec3 c = lookup(image, (s.uvs[v.x] + s.uvs[v.y] + s.uvs[v.z]) / 3.0f);
+    if (s.rest[v.x].x < 1.08f) continue;  // well inside the part
+    CHECK(c.z > 70);                      // pink, not the coat's red-brown
+  }
+}
+
+TEST_CASE("A surface without UVs is refused") {
+  Surface s;
+  s.rest = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}};
+  s.triangles = {{0, 1, 2}};
+  CHECK_THROWS_AS(bake_coat({}, s, {}, 16), InputError);
+}
