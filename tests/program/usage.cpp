@@ -67,9 +67,9 @@ void check_usage_error(const std::string& arguments, const std::string& part) {
   CHECK(o.err.find('\n') == o.err.size() - 1);
 }
 
-std::string quoted(const fs::path& file) { return fmt::format("'{}'", file.string()); }
+std::string in_quotes(const fs::path& file) { return fmt::format("'{}'", file.string()); }
 
-std::string scene(const std::string& name, const std::string& text) { return quoted(folder().file(name, text)); }
+std::string scene(const std::string& name, const std::string& text) { return in_quotes(folder().file(name, text)); }
 
 }  // namespace
 
@@ -152,7 +152,7 @@ TEST_CASE("what fails while running has exit status 1") {
 }
 
 TEST_CASE("a rig is built, described and checked") {
-  const std::string glb = quoted(folder().path / "cow.glb");
+  const std::string glb = in_quotes(folder().path / "cow.glb");
   const Outcome built = run("rig build cow -o " + glb);
   CHECK(built.status == 0);
   const Outcome info = run("rig info " + glb);
