@@ -162,7 +162,7 @@ int run_preview(const PreviewCommand& command, std::atomic<bool>& stop) {
 int run_validate(const std::string& folder) {
   std::vector<CheckResult> results;
   {
-    ProgressBar bar("checks");
+    ProgressBar bar("frames");
     results = validate_dataset(folder, [&](std::size_t done, std::size_t total) { bar.update(done, total); });
   }
   std::uint64_t failures = 0;

@@ -9,30 +9,31 @@
 namespace moomill {
 namespace {
 
-// Bytes of a file per pixel of the picture, measured on views of the shipped cow at 1024 x 768 (it covers about a
-// seventh of the picture; files of background are small). See scenes/README.md for how.
+// Bytes of a file per pixel of the picture, background included, measured on the shipped cow at 1024 x 768 by
+//   moomill generate scenes/nepumoo.toml --frames 40 --cameras 0:7 --modalities all -o DIR
+// and the sizes of the files in DIR.
 double bytes_per_pixel(Modality m) {
   switch (m) {
     case Modality::rgb:
-      return 0.30;
+      return 0.08;
     case Modality::silhouette:
       return 0.006;
     case Modality::coverage:
-      return 0.012;
+      return 0.015;
     case Modality::depth:
-      return 0.35;
+      return 0.46;
     case Modality::nnopcs:
-      return 1.3;  // with the 8-bit file beside it
+      return 1.45;  // with the 8-bit file beside it
     case Modality::normal:
-      return 1.3;
+      return 1.42;
     case Modality::uv:
-      return 0.9;
+      return 0.91;
     case Modality::part:
-      return 0.012;
+      return 0.011;
     case Modality::instance:
       return 0.006;
     case Modality::triangle:
-      return 1.3;
+      return 1.12;
     case Modality::occlusion:
       return 0.006;
     case Modality::keypoints:
@@ -42,12 +43,13 @@ double bytes_per_pixel(Modality m) {
   return 0;
 }
 
-// Seconds of one core, measured on the same views.
-constexpr double core_seconds_per_sample = 1.1e-7;     // one path sample of one pixel of the whole picture, first coat
+// Seconds of one core, measured by the processor time of such runs with one modality, 1 and 64 samples, 1 and 12 coats.
+constexpr double core_seconds_per_sample = 8e-8;       // one path sample of one pixel of the whole picture, first coat
 constexpr double share_per_further_coat = 0.02;        // of the above
-constexpr double core_seconds_per_label_pixel = 4e-7;  // first hit and the maps made of it
-constexpr double core_seconds_per_frame = 0.15;        // pose, skinning, hierarchy
-constexpr double core_seconds_to_start = 6;            // rig, NNOPCS, coats
+constexpr double core_seconds_per_label_pixel = 3e-8;  // first hit and the maps made of it
+constexpr double core_seconds_per_frame = 0.1;         // pose, skinning, hierarchy
+constexpr double core_seconds_to_start = 2;            // rig and NNOPCS
+constexpr double core_seconds_per_coat_texel = 2.7e-7;
 double encoder_seconds_per_pixel(Modality m) {
   switch (row(m).storage) {
     case Storage::jpeg8:
@@ -57,7 +59,7 @@ double encoder_seconds_per_pixel(Modality m) {
       return 2.0e-8;
     case Storage::exr32:
     case Storage::exr_ids:
-      return 6e-8 * row(m).channels;
+      return 1.6e-8 + 8e-9 * row(m).channels;
     case Storage::record:
       return 0;
   }
@@ -121,7 +123,9 @@ std::vector<Stage> stages_of(const SceneSpec& scene, const Counts& n, const Spec
   add("first hits", !hits.empty(), "for " + hits, "no chosen modality needs the pixel-centre rays");
   add("path tracing", !light.empty(),
       fmt::format("{} samples per pixel, {}", scene.render.samples,
-                  scene.render.max_bounces > 0 ? fmt::format("at most {} bounces", scene.render.max_bounces) : "no cap on bounces"), no_light);
+                  scene.render.max_bounces > 0 ? fmt::format("at most {} bounces", scene.render.max_bounces)
+                                               : "no cap on bounces"),
+      no_light);
   add("coverage", coverage, "antialiased share of every pixel", "coverage is not among the modalities");
   add("keypoints", keypoints,
       species.keypoints ? fmt::format("{} of {}", species.keypoints, species.name)
@@ -200,13 +204,19 @@ PlanReport plan(const SceneSpec& scene) {
     core_seconds += images * n.pixels * encoder_seconds_per_pixel(r.id);
   }
   const double pictures = static_cast<double>(n.pictures());
-  const double records = pictures * 40.0 * static_cast<double>(std::max<std::size_t>(1, species.keypoints)) * 2;
+  // Bones of every frame; keypoints, and hashes of the files, of every picture.
+  const double records = 8000.0 * static_cast<double>(n.frames) +
+                         125.0 * pictures * static_cast<double>(species.keypoints * n.animals) +
+                         60.0 * static_cast<double>(files);
   bytes += records;
   if (scene.modalities.any(&ModalityRow::needs_first_hit))
     core_seconds += pictures * n.pixels * core_seconds_per_label_pixel;
-  if (scene.modalities.any(&ModalityRow::needs_light))
+  if (scene.modalities.any(&ModalityRow::needs_light)) {
+    core_seconds += core_seconds_per_coat_texel * static_cast<double>(n.coats) * scene.render.coat_resolution *
+                    scene.render.coat_resolution;
     core_seconds += pictures * n.pixels * scene.render.samples * core_seconds_per_sample *
                     (1 + share_per_further_coat * static_cast<double>(n.coats - 1));
+  }
   const int cores = hardware_threads();
   const double seconds = core_seconds / cores;
   text += fmt::format("\n{} files, about {} on disk; about {} on the {} cores of this machine.\n", files,
