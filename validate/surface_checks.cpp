@@ -43,7 +43,7 @@ std::vector<std::size_t> samples(const ViewData& d) {
 // Whose surface a foreground pixel shows; -1 when the dataset does not say.
 int animal_of(const Manifest& m, const ViewData& d, std::size_t pixel) {
   if (!d.instance.empty()) return int{d.instance.data[pixel]} - 1;
-  return m.animals.size() == 1 || m.subset == Subset::occlusions ? labelled_animal(m) : -1;
+  return m.animals.size() == 1 || m.subset == Subset::occlusions ? labelled_animal : -1;
 }
 
 // What the depth map says about a keypoint inside the image.
@@ -119,7 +119,7 @@ void check_keypoints(const Context& context, const StoredFrame& frame, const Vie
       }
       // The depth map of `occlusions` shows one animal only, so what hides behind others is not in it.
       if (!inside || d.depth.empty() || v.cause == HiddenBy::other_animal || v.cause == HiddenBy::scenery) continue;
-      if (m.subset == Subset::occlusions && static_cast<int>(animal) != labelled_animal(m)) continue;
+      if (m.subset == Subset::occlusions && static_cast<int>(animal) != labelled_animal) continue;
       const Verdict seen = verdict(d, v, k < m.keypoint_tolerance.size() ? m.keypoint_tolerance[k] : 0.0);
       if (seen == Verdict::undecided) continue;
       tally.compared(Check::visibility);

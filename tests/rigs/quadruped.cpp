@@ -209,7 +209,7 @@ TEST_CASE("The cow is left/right symmetric: surface and weights") {
   }
 }
 
-TEST_CASE("The cow's UV atlas lies in [0, 1] and covers no texel twice") {
+TEST_CASE("The cow's UV atlas lies in the unit interval and covers no texel twice") {
   const Surface& s = cow().rig.surface;
   REQUIRE(s.uvs.size() == s.rest.size());
   for (const vec2& uv : s.uvs) {

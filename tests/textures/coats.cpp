@@ -135,7 +135,7 @@ TEST_CASE("Freckles cover the share they are asked for, on average over space") 
   CHECK(covered / (n * n) == doctest::Approx(0.1).epsilon(0.2));
 }
 
-TEST_CASE("Part colours go by name or by its beginning; colours stay within [0, 1]") {
+TEST_CASE("Part colours go by name or by its beginning, colours stay within the unit interval") {
   ProceduralCoat coat;
   coat.base = PlainPattern{vec3(1), 0.5, 0.2};
   coat.fur = 0.5;
