@@ -100,12 +100,14 @@ void check_keypoints(const Context& context, const StoredFrame& frame, const Vie
           return fmt::format("{}: it is at ({}, {}) and should be at ({}, {}).", name(), v.pixel.x, v.pixel.y, pixel->x,
                              pixel->y);
         });
-        if (parameters != context.parameters.end() && !m.per_frame_cameras)
-          if (const std::optional<dvec2> other = parameters->second.pixel(points[k]))
-            tally.within(Check::keypoints_parameters, glm::distance(*other, v.pixel), parameters_bar * bar, [&] {
-              return fmt::format("{}: it is at ({}, {}) and parameters.cfg puts it at ({}, {}).", name(), v.pixel.x,
-                                 v.pixel.y, other->x, other->y);
-            });
+        if (parameters != context.parameters.end() && !m.per_frame_cameras) {
+          const std::optional<dvec2> other = parameters->second.pixel(points[k]);
+          const double apart = other ? glm::distance(*other, v.pixel) : std::numeric_limits<double>::infinity();
+          tally.within(Check::keypoints_parameters, apart, parameters_bar * bar, [&] {
+            return fmt::format("{}: it is at ({}, {}), and parameters.cfg puts it {}.", name(), v.pixel.x, v.pixel.y,
+                               other ? fmt::format("at ({}, {})", other->x, other->y) : "behind the camera");
+          });
+        }
       }
       // At the very border rounding decides.
       const bool border =
