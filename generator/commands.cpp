@@ -19,7 +19,9 @@ namespace {
 
 namespace fs = std::filesystem;
 
-void print(const std::string& text) { std::fputs(text.c_str(), stdout); }
+void print(const std::string& text) {
+  std::fputs(text.c_str(), stdout);
+}
 
 SceneSpec scene_of(const std::string& file, const SceneOptions& options) {
   SceneSpec scene = read_scene(file);
@@ -38,11 +40,12 @@ GenerateOptions generate_options(const fs::path& out, ProgressBar& bar, std::ato
 }
 
 void require_extension(const std::string& option, const std::string& file, const std::string& extension) {
-  if (fs::path(file).extension() != extension)
-    input_error("{} {}: the file must end in {}", option, file, extension);
+  if (fs::path(file).extension() != extension) input_error("{} {}: the file must end in {}", option, file, extension);
 }
 
-bool is_rig_file(const fs::path& file) { return file.extension() != ".toml"; }
+bool is_rig_file(const fs::path& file) {
+  return file.extension() != ".toml";
+}
 
 // A folder that is gone again at the end.
 class TemporaryFolder {
@@ -125,6 +128,16 @@ int run_generate(const GenerateCommand& command, std::atomic<bool>& stop) {
 int run_render(const RenderCommand& command) {
   require_extension("-o", command.out, ".exr");
   const SceneSpec scene = scene_of(command.scene, command.options);
+  if (!std::binary_search(scene.frames.begin(), scene.frames.end(), command.frame))
+    input_error("--frame: {} has no frame {}; its frames run from {} to {}", command.scene, command.frame,
+                scene.frames.front(), scene.frames.back());
+  const std::vector<int> ids = all_camera_ids(scene.cameras);
+  if (!std::binary_search(ids.begin(), ids.end(), command.camera))
+    input_error("--camera: {} has no camera {}; its ids run from {} to {}", command.scene, command.camera, ids.front(),
+                ids.back());
+  const int coats = static_cast<int>(scene.animals[0].coats.size());
+  if (command.coat < 0 || command.coat >= coats)
+    input_error("--coat: {} has no coat {}; its coats are 0 to {}", command.scene, command.coat, coats - 1);
   render_view(scene, command.frame, command.camera, command.coat, command.out);
   spdlog::info("{} holds frame {} of camera {} in coat {}", command.out, command.frame, command.camera, command.coat);
   return 0;
@@ -150,11 +163,7 @@ int run_validate(const std::string& folder) {
   std::vector<CheckResult> results;
   {
     ProgressBar bar("checks");
-#if __has_include("validate/collector.h")
     results = validate_dataset(folder, [&](std::size_t done, std::size_t total) { bar.update(done, total); });
-#else
-    run_error("{} cannot be checked by this program", folder);
-#endif
   }
   std::uint64_t failures = 0;
   std::size_t failed = 0;

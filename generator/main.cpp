@@ -1,9 +1,9 @@
 // The command line of moomill: options, help, exit status. What the commands do is in commands.cpp.
 //
 // Exit status: 0 done, 1 failed while running, 2 bad usage or bad input.
-#include <CLI/CLI.hpp>
 #include <spdlog/sinks/stdout_color_sinks.h>
 #include <spdlog/spdlog.h>
+#include <CLI/CLI.hpp>
 
 #include <csignal>
 #include <cstdio>
@@ -36,9 +36,13 @@ void log_to_stderr() {
   spdlog::set_default_logger(logger);
 }
 
-void complain(const std::string& sentence) { fmt::print(stderr, "moomill: {}\n", sentence); }
+void complain(const std::string& sentence) {
+  fmt::print(stderr, "moomill: {}\n", sentence);
+}
 
-void add_example(CLI::App* app, const std::string& example) { app->footer("\nExample:\n  " + example); }
+void add_example(CLI::App* app, const std::string& example) {
+  app->footer("\nExample:\n  " + example);
+}
 
 void add_scene_options(CLI::App* app, SceneOptions& o) {
   app->add_option("--frames", o.frames, "frames A to B only, both included")->type_name("A:B");
@@ -74,12 +78,14 @@ std::string usage_sentence(const CLI::App& app, const CLI::ParseError& error) {
   const CLI::App* command = innermost(&app);
   const std::string help = fmt::format("`{} --help` has an example", full_name(command));
   std::vector<std::string> commands, options;
-  for (const CLI::App* c : command->get_subcommands([](const CLI::App*) { return true; })) commands.push_back(c->get_name());
+  for (const CLI::App* c : command->get_subcommands([](const CLI::App*) { return true; }))
+    commands.push_back(c->get_name());
   for (const CLI::Option* o : command->get_options())
     for (const std::string& name : o->get_lnames()) options.push_back("--" + name);
   for (const std::string& word : command->remaining(true)) {
     if (word.rfind("-", 0) == 0)
-      return fmt::format("unknown option '{}'{}", word, suggestion(word.substr(0, word.find('=')), options, help + "; known are"));
+      return fmt::format("unknown option '{}'{}", word,
+                         suggestion(word.substr(0, word.find('=')), options, help + "; known are"));
     if (!commands.empty()) return fmt::format("unknown command '{}'{}", word, suggestion(word, commands, "known are"));
     return fmt::format("unexpected argument '{}'; {}", word, help);
   }
@@ -98,8 +104,8 @@ int run(int argc, char** argv) {
   int status = 0;
 
   PlanCommand plan;
-  CLI::App* c = add_command(app, "plan", "What generate would do: stages, images, disk, time", "moomill plan scenes/nepumoo.toml",
-                            status, [&] { return run_plan(plan); });
+  CLI::App* c = add_command(app, "plan", "What generate would do: stages, images, disk, time",
+                            "moomill plan scenes/nepumoo.toml", status, [&] { return run_plan(plan); });
   c->add_option("scene", plan.scene, "scene file")->required()->type_name("SCENE");
   c->add_flag("--json", plan.json, "for programs");
   add_scene_options(c, plan.options);
@@ -124,13 +130,14 @@ int run(int argc, char** argv) {
   c->add_option("--camera", render.camera, "camera id")->required()->type_name("C");
   c->add_option("--coat", render.coat, "coat index")->type_name("T");
   c->add_option("-o,--out", render.out, "picture")->required()->type_name("FILE.exr");
-  c->add_option("--modalities", render.options.modalities, "these instead of the scene's, or all")->type_name("rgb,depth");
+  c->add_option("--modalities", render.options.modalities, "these instead of the scene's, or all")
+      ->type_name("rgb,depth");
   c->add_option("--resolution", render.options.resolution, "of the picture")->type_name("WxH");
   c->add_option("--spp", render.options.samples, "samples per pixel")->type_name("N");
 
   MergeCommand merge;
-  c = add_command(app, "merge", "Join shards into one dataset", "moomill merge out/shard0 out/shard1 -o out/whole", status,
-                  [&] { return run_merge(merge); });
+  c = add_command(app, "merge", "Join shards into one dataset", "moomill merge out/shard0 out/shard1 -o out/whole",
+                  status, [&] { return run_merge(merge); });
   c->add_option("shards", merge.shards, "folders that generate --shard made")->required()->type_name("DIR");
   c->add_option("-o,--out", merge.out, "folder of the whole")->required()->type_name("DIR");
   c->add_flag("--allow-missing", merge.allow_missing, "also when frames are missing");
@@ -160,8 +167,9 @@ int run(int argc, char** argv) {
   c = add_command(*rig, "check", "What is wrong or suspicious about a rig; exit 1 when something is wrong",
                   "moomill rig check cow", status, [&] { return run_rig_check(rig_name); });
   c->add_option("rig", rig_name, "rig file, species file or species name")->required()->type_name("RIG");
-  c = add_command(*rig, "build", "Write the rig of a species as one .glb", "moomill rig build rigs/cow/cow.toml -o out/cow.glb",
-                  status, [&] { return run_rig_build(rig_name, rig_out); });
+  c = add_command(*rig, "build", "Write the rig of a species as one .glb",
+                  "moomill rig build rigs/cow/cow.toml -o out/cow.glb", status,
+                  [&] { return run_rig_build(rig_name, rig_out); });
   c->add_option("species", rig_name, "species file or species name")->required()->type_name("SPEC");
   c->add_option("-o,--out", rig_out, "rig file to write")->required()->type_name("RIG.glb");
 

@@ -11,7 +11,9 @@ namespace fs = std::filesystem;
 
 namespace {
 
-SceneSpec shipped(const std::string& name) { return read_scene(fs::path(MOOMILL_SOURCE_DIR) / "scenes" / name); }
+SceneSpec shipped(const std::string& name) {
+  return read_scene(fs::path(MOOMILL_SOURCE_DIR) / "scenes" / name);
+}
 
 const Species& cow() {
   static const Species species = read_species("cow", NnopcsNormalization::box, {});
@@ -53,7 +55,8 @@ TEST_CASE("the main set has 910 poses, 24 cameras and twelve coats: 262,080 view
 }
 
 TEST_CASE("the occlusion and novel-view sets have the animal of the main set") {
-  const SceneSpec main = shipped("nepumoo.toml"), hidden = shipped("occlusion.toml"), novel = shipped("novel_views.toml");
+  const SceneSpec main = shipped("nepumoo.toml"), hidden = shipped("occlusion.toml"),
+                  novel = shipped("novel_views.toml");
   for (const SceneSpec* s : {&hidden, &novel}) {
     CHECK(s->seed == main.seed);
     CHECK(s->animals[0].coats == main.animals[0].coats);
@@ -89,15 +92,15 @@ TEST_CASE("the default cameras and the further ones frame every pose of the main
     for (const CameraRecord& c : cameras) {
       const Camera camera = Camera::from_matrix(c.world_to_camera, c.fx, c.fy, c.cx, c.cy, c.width, c.height);
       for (int corner = 0; corner < 8; ++corner) {
-        const dvec2 p = camera.project(camera.to_camera({corner & 1 ? box.upper.x : box.lower.x,
-                                                         corner & 2 ? box.upper.y : box.lower.y,
-                                                         corner & 4 ? box.upper.z : box.lower.z}));
+        const dvec2 p = camera.project(
+            camera.to_camera({corner & 1 ? box.upper.x : box.lower.x, corner & 2 ? box.upper.y : box.lower.y,
+                              corner & 4 ? box.upper.z : box.lower.z}));
         slack = std::min({slack, p.x, p.y, c.width - p.x, c.height - p.y});
       }
     }
   }
-  MESSAGE("box of all poses: ", all.lower.x, " ", all.lower.y, " ", all.lower.z, " to ", all.upper.x, " ", all.upper.y, " ",
-          all.upper.z, "; least distance of a box corner from the image border: ", slack, " px");
+  MESSAGE("box of all poses: ", all.lower.x, " ", all.lower.y, " ", all.lower.z, " to ", all.upper.x, " ", all.upper.y,
+          " ", all.upper.z, "; least distance of a box corner from the image border: ", slack, " px");
   CHECK(slack > 0);
 }
 
