@@ -63,7 +63,7 @@ void check_record(const Context& context, const StoredFrame& frame, const std::v
   tally.compared(Check::frames);
   if (frame.views.size() != cameras.size())
     wrong(fmt::format("it has {} views and {} cameras", frame.views.size(), cameras.size()));
-  const std::size_t labelled = static_cast<std::size_t>(labelled_animal(m)), count = m.keypoint_names.size();
+  const std::size_t labelled = static_cast<std::size_t>(labelled_animal), count = m.keypoint_names.size();
   if (count > 0) {
     if (frame.frame.keypoints.size() <= labelled || frame.frame.keypoints[labelled].size() != count)
       wrong(fmt::format("the labelled animal has not {} keypoints", count));

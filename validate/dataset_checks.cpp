@@ -237,7 +237,7 @@ void read_rigs(Context& context) {
   }
   const dvec3 size = m.nnopcs_upper - m.nnopcs_lower;
   for (std::size_t a = 0; a < m.animals.size(); ++a) {
-    if (m.animals[a] != m.animals[static_cast<std::size_t>(labelled_animal(m))]) {
+    if (m.animals[a] != m.animals[static_cast<std::size_t>(labelled_animal)]) {
       unusable("the manifest has no NNOPCS box of " + m.animals[a]);
       continue;
     }

@@ -43,7 +43,7 @@ std::vector<std::size_t> samples(const ViewData& d) {
 // Whose surface a foreground pixel shows; -1 when the dataset does not say.
 int animal_of(const Manifest& m, const ViewData& d, std::size_t pixel) {
   if (!d.instance.empty()) return int{d.instance.data[pixel]} - 1;
-  return m.animals.size() == 1 || m.subset == Subset::occlusions ? labelled_animal(m) : -1;
+  return m.animals.size() == 1 || m.subset == Subset::occlusions ? labelled_animal : -1;
 }
 
 // What the depth map says about a keypoint inside the image.
@@ -100,12 +100,14 @@ void check_keypoints(const Context& context, const StoredFrame& frame, const Vie
           return fmt::format("{}: it is at ({}, {}) and should be at ({}, {}).", name(), v.pixel.x, v.pixel.y, pixel->x,
                              pixel->y);
         });
-        if (parameters != context.parameters.end() && !m.per_frame_cameras)
-          if (const std::optional<dvec2> other = parameters->second.pixel(points[k]))
-            tally.within(Check::keypoints_parameters, glm::distance(*other, v.pixel), parameters_bar * bar, [&] {
-              return fmt::format("{}: it is at ({}, {}) and parameters.cfg puts it at ({}, {}).", name(), v.pixel.x,
-                                 v.pixel.y, other->x, other->y);
-            });
+        if (parameters != context.parameters.end() && !m.per_frame_cameras) {
+          const std::optional<dvec2> other = parameters->second.pixel(points[k]);
+          const double apart = other ? glm::distance(*other, v.pixel) : std::numeric_limits<double>::infinity();
+          tally.within(Check::keypoints_parameters, apart, parameters_bar * bar, [&] {
+            return fmt::format("{}: it is at ({}, {}), and parameters.cfg puts it {}.", name(), v.pixel.x, v.pixel.y,
+                               other ? fmt::format("at ({}, {})", other->x, other->y) : "behind the camera");
+          });
+        }
       }
       // At the very border rounding decides.
       const bool border =
@@ -119,7 +121,7 @@ void check_keypoints(const Context& context, const StoredFrame& frame, const Vie
       }
       // The depth map of `occlusions` shows one animal only, so what hides behind others is not in it.
       if (!inside || d.depth.empty() || v.cause == HiddenBy::other_animal || v.cause == HiddenBy::scenery) continue;
-      if (m.subset == Subset::occlusions && static_cast<int>(animal) != labelled_animal(m)) continue;
+      if (m.subset == Subset::occlusions && static_cast<int>(animal) != labelled_animal) continue;
       const Verdict seen = verdict(d, v, k < m.keypoint_tolerance.size() ? m.keypoint_tolerance[k] : 0.0);
       if (seen == Verdict::undecided) continue;
       tally.compared(Check::visibility);

@@ -103,7 +103,7 @@ void check_occlusion(const Context& context, const ViewData& data, Tally& tally)
     });
     if (whole.empty() || whole.channels != 1) continue;
     // Which pixels are visibly of this animal: by instance, else by the silhouette where it can only be this one.
-    const bool alone = m.animals.size() == 1 || (m.subset == Subset::occlusions && animal == labelled_animal(m));
+    const bool alone = m.animals.size() == 1 || (m.subset == Subset::occlusions && animal == labelled_animal);
     const auto visible = [&](std::size_t i) -> bool {
       return !data.instance.empty() ? data.instance.data[i] == animal + 1 : alone && data.foreground(i);
     };
@@ -132,7 +132,7 @@ void check_labels(const Context& context, const ViewData& data, Tally& tally) {
   const Manifest& m = context.dataset.manifest;
   const View& view = *data.view;
   const auto file = [&](Modality modality) { return context.dataset.file(modality, view.frame, view.camera); };
-  const int labelled = labelled_animal(m);
+  const int labelled = labelled_animal;
   if (!data.instance.empty()) {
     // In `occlusions` the silhouette is of one animal, while the instance map shows all.
     check_pixels(Check::silhouette_labels, data, tally, "instance and silhouette disagree", [&](std::size_t i) {

@@ -195,7 +195,9 @@ Image8 grid(const std::vector<Image8>& cells, const std::vector<std::string>& la
     const int x = gap + i % columns * (cell_width + gap),
               y = title_height + i / columns * (cell_height + label_height + gap);
     paste(sheet, x, y, cells[i]);
-    draw_text(sheet, x, y + cell_height + gap, labels[i], scale, ink);
+    // A label that is too long for its picture must not run into the next one.
+    const auto letters = static_cast<std::size_t>(std::max(1, cell_width / text_width("m", scale)));
+    draw_text(sheet, x, y + cell_height + gap, labels[i].substr(0, letters), scale, ink);
   }
   return sheet;
 }
@@ -250,7 +252,7 @@ Image8 modality_sheet(const std::filesystem::path& folder, const ContactSheetOpt
     if (!m.modalities.has(r.id) || r.storage == Storage::record) continue;
     if (r.id == Modality::occlusion) {
       for (int animal = 0; animal < std::max(1, static_cast<int>(m.animals.size())); ++animal)
-        add(show(c.dataset, r.id, view->frame, camera, -1, animal), fmt::format("{} of animal {}", r.name, animal));
+        add(show(c.dataset, r.id, view->frame, camera, -1, animal), fmt::format("whole mask {}", animal));
     } else if (!r.per_coat || c.coat >= 0) {
       add(show(c.dataset, r.id, view->frame, camera, c.coat, -1), r.name);
     }

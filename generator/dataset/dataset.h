@@ -38,7 +38,7 @@ struct Manifest {
   bool per_frame_cameras = false;     // cameras drawn per frame or view are in the frame records instead
   std::vector<std::string> coats;     // names by index
   std::vector<int> coat_indices;      // which of them this dataset holds (all, unless --coats)
-  std::vector<std::string> animals;   // species per animal; the labelled one of `occlusions` is the last
+  std::vector<std::string> animals;   // species per animal; the labelled one is the first
   std::vector<std::string> keypoint_names;
   std::vector<std::pair<int, int>> skeleton, pairs;
   std::vector<double> keypoint_tolerance;  // metres
@@ -79,8 +79,7 @@ std::string rig_path(const Manifest& manifest, int animal);  // manifest.rig_fil
 std::string expand_template(const std::string& path, int frame, int camera);
 std::filesystem::path file_of(const Manifest& manifest, Modality modality, int frame, int camera, int coat, int animal);
 std::vector<std::string> exr_channel_names(Modality modality);  // in the order of Map::f; depth: its one plane thrice
-int labelled_animal(
-    const Manifest& manifest);  // whose keypoints go into keypoints.csv: the last of `occlusions`, else the first
+inline constexpr int labelled_animal = 0;  // the first of a scene: the one that masks, keypoints.csv and NNOPCS speak of
 
 Json manifest_to_json(const Manifest& manifest);
 Manifest manifest_from_json(const Json& json, const std::string& file);  // InputError on a foreign schema

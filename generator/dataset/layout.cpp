@@ -72,10 +72,6 @@ std::string geometry_folder(const Manifest& m) {
 
 }  // namespace
 
-int labelled_animal(const Manifest& m) {
-  return m.subset == Subset::occlusions ? std::max(0, static_cast<int>(m.animals.size()) - 1) : 0;
-}
-
 std::string coat_folder(const Manifest& m, int coat) {
   if (m.subset == Subset::occlusions)  // one composite picture per view, whatever the coats in it
     return m.coat_indices.size() > 1 ? occlusions_folder(m) + "/" + coat_name(m, coat) : occlusions_folder(m);
@@ -102,7 +98,7 @@ std::string path_template(const Manifest& m, Modality modality, int coat, int an
     case Modality::nnopcs:
       return nnopcs_folder(m) + camera + "nnopcs" + tail + ".exr";
     case Modality::occlusion:
-      if (m.subset == Subset::occlusions && animal == labelled_animal(m))
+      if (m.subset == Subset::occlusions && animal == labelled_animal)
         return geometry_folder(m) + camera + "objectID_complete_mask_" + tail + ".png";
       if (m.animals.size() > 1)  // whole masks overlap, so each animal has a file
         return own_folder(m, r.name) + camera + r.name + tail + fmt::format(".animal{}.png", animal);

@@ -113,7 +113,7 @@ Json manifest_identity(const Manifest& m) {
   json["coats"] = m.coats;
   json["coat_indices"] = m.coat_indices;
   json["animals"] = m.animals;
-  json["labelled_animal"] = labelled_animal(m);
+  json["labelled_animal"] = labelled_animal;
   json["keypoints"] = {{"names", m.keypoint_names},
                        {"skeleton", m.skeleton},
                        {"left_right_pairs", m.pairs},

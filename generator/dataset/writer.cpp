@@ -236,7 +236,7 @@ void DatasetWriter::finish() {
   // From the records, not from memory: a resumed run must end in the same bytes.
   std::string keypoints = keypoints_csv_header(m);
   std::vector<CameraRecord> cameras = m.cameras;
-  const std::size_t animal = static_cast<std::size_t>(labelled_animal(m));
+  const std::size_t animal = static_cast<std::size_t>(labelled_animal);
   for (std::size_t i = 0; i < m.held_frames.size(); ++i) {
     const fs::path file = record_path(s.folder, m.held_frames[i]);
     const FrameRecord record = record_from_text(read_text(file), file.string()).frame;

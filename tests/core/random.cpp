@@ -24,7 +24,7 @@ TEST_CASE("identities are pinned: a change here changes every dataset") {
   CHECK(hash_text("light.suns[0]") != hash_text("light.suns[1]"));
 }
 
-TEST_CASE("to_unit stays in [0, 1)") {
+TEST_CASE("to_unit stays in the half-open unit interval") {
   CHECK(to_unit(0) == 0.0);
   CHECK(to_unit(~0ull) < 1.0);
   CHECK(to_unit(~0ull) == 1.0 - 0x1.0p-53);

@@ -4,7 +4,7 @@
 
 using namespace moomill;
 
-TEST_CASE("NNOPCS spans [0, 1] over the neutral box and multiplies back to metres") {
+TEST_CASE("NNOPCS spans the unit interval over the neutral box and multiplies back to metres") {
   Surface s;
   s.rest = {{-1, 0, 0}, {1, 0.5f, 0}, {0, 0, 2}, {9, 9, 9}};  // the last vertex belongs to no triangle
   s.triangles = {{0, 1, 2}};

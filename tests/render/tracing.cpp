@@ -191,7 +191,7 @@ TEST_CASE("the footprint holds every pixel that a ray within the filter can hit,
   }
 }
 
-TEST_CASE("coverage of a square equals its area, pixel by pixel; only outline pixels are sampled") {
+TEST_CASE("coverage of a square equals its area, pixel by pixel, only outline pixels are sampled") {
   // A square at depth 10 whose borders lie at fractions of pixels.
   const Surface plate = plate_surface({-1.0f, -1.0f, 0}, {2.0f, 0, 0}, {0, 2.0f, 0});
   const Scene scene = scene_of({instance_of(plate, 0, 0)}, 1);

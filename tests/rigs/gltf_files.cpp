@@ -337,7 +337,7 @@ TEST_CASE("Bad weights, positions and joints are refused by the name of the vert
   has(refusal(f.glb()), "position of vertex 1 of mesh 'm' is not finite");
 }
 
-TEST_CASE("The same mesh on several nodes is there several times; a mirrored node keeps triangles facing out") {
+TEST_CASE("The same mesh on several nodes is there several times, a mirrored node keeps triangles facing out") {
   File f;
   f.j["nodes"] = {{{"mesh", 0}, {"name", "n"}},
                   {{"mesh", 0}, {"name", "n"}, {"scale", {-1, 1, 1}}, {"translation", {0, 0, -3}}}};

@@ -119,8 +119,9 @@ TEST_CASE("A small body is closed, symmetric and of the right volume") {
   Box box;
   for (const vec3& p : rig.surface.rest) box.add(dvec3(p));
   CHECK(box.size().y == doctest::Approx(0.5).epsilon(0.03));
-  CHECK(volume(rig.surface) > 0.012);
-  CHECK(volume(rig.surface) < 0.020);
+  // Bar with round ends 0.0168 m3, and of each ball of 0.0042 m3 what sticks out; plus the fillets.
+  CHECK(volume(rig.surface) > 0.0175);
+  CHECK(volume(rig.surface) < 0.0230);
   CHECK(std::set<std::string>(rig.part_names.begin(), rig.part_names.end()) ==
         std::set<std::string>{"bar", "lobe_l", "lobe_r"});
 }
@@ -209,7 +210,7 @@ TEST_CASE("The cow is left/right symmetric: surface and weights") {
   }
 }
 
-TEST_CASE("The cow's UV atlas lies in [0, 1] and covers no texel twice") {
+TEST_CASE("The cow's UV atlas lies in the unit interval and covers no texel twice") {
   const Surface& s = cow().rig.surface;
   REQUIRE(s.uvs.size() == s.rest.size());
   for (const vec2& uv : s.uvs) {

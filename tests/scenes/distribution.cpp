@@ -54,7 +54,7 @@ TEST_CASE("a uniform distribution has its mean and variance and stays within its
   CHECK(m.highest <= 3);
 }
 
-TEST_CASE("a normal distribution has its mean and variance; a clamp holds") {
+TEST_CASE("a normal distribution has its mean and variance, a clamp holds") {
   check_moments(moments(make(Choice::Kind::normal, {{5}, {2}}), draws), 5, 4, 3);
   const Moments clamped = moments(make(Choice::Kind::normal, {{5}, {2}, {4}, {7}}), draws);
   CHECK(clamped.lowest == 4);
@@ -87,7 +87,7 @@ TEST_CASE("choose takes every entry equally often, and whole") {
   CHECK(seen.size() == 2);
 }
 
-TEST_CASE("components of a vector are drawn apart; a grey is drawn once") {
+TEST_CASE("components of a vector are drawn apart, a grey is drawn once") {
   const Distribution vector = make(Choice::Kind::uniform, {{0, 0, 0}, {1, 1, 1}});
   double product = 0;
   for (int frame = 0; frame < draws; ++frame) {
@@ -100,7 +100,7 @@ TEST_CASE("components of a vector are drawn apart; a grey is drawn once") {
   CHECK(grey.x == grey.z);
 }
 
-TEST_CASE("a draw depends on seed, key, frame and, per view, camera; never on order") {
+TEST_CASE("a draw depends on seed, key, frame and, per view, camera, never on order") {
   Distribution d = make(Choice::Kind::uniform, {{0}, {1}});
   const double x = draw_number(d, 1, 2, 3);
   CHECK(draw_number(d, 1, 2, 4) == x);

@@ -117,7 +117,7 @@ upper_deg = [0, 10, 20]
   CHECK(glm::length(s.standing - dvec3(-1, -0.5, -0.5)) < 1e-6);
 }
 
-TEST_CASE("the neutral pose may be of a clip or of turned joints; NNOPCS and keypoints follow it") {
+TEST_CASE("the neutral pose may be of a clip or of turned joints, NNOPCS and keypoints follow it") {
   const Species clip = BeamFolder(head +
                                   "[[keypoints]]\nname = \"k\"\njoint = \"head\"\n"
                                   "[neutral]\nclip = \"walk\"\ntime_s = 1\n")
@@ -131,7 +131,7 @@ TEST_CASE("the neutral pose may be of a clip or of turned joints; NNOPCS and key
   CHECK(glm::length(std::get<JointAnchor>(turned.keypoints[0].anchor).neutral - dvec3(0, 0, 2)) < 1e-6);
 }
 
-TEST_CASE("yaw_deg turns the whole rig, clips included; scale scales it") {
+TEST_CASE("yaw_deg turns the whole rig, clips included, scale scales it") {
   const Species s = BeamFolder("name = \"beam\"\n[source]\nfile = \"beam.glb\"\nyaw_deg = 90\nscale = 2\n").read();
   CHECK(glm::length(s.rig.surface.neutral_box.lower - dvec3(-2, 0, 1)) < 1e-5);
   CHECK(glm::length(s.rig.surface.neutral_box.upper - dvec3(0, 4, 3)) < 1e-5);

@@ -40,10 +40,15 @@ dvec3 lookup(const Image8& image, const vec2& uv) {
   return sum;
 }
 
-double mean_difference(const Image8& a, const Image8& b) {
-  double sum = 0;
-  for (std::size_t i = 0; i < a.data.size(); ++i) sum += std::abs(int(a.data[i]) - int(b.data[i]));
-  return sum / static_cast<double>(a.data.size());
+// Share of texels where some channel differs by more than `levels`.
+double share_differing(const Image8& a, const Image8& b, int levels) {
+  std::size_t differ = 0;
+  for (std::size_t i = 0; i < a.data.size(); i += 3) {
+    int most = 0;
+    for (int c = 0; c < 3; ++c) most = std::max(most, std::abs(int(a.data[i + c]) - int(b.data[i + c])));
+    differ += most > levels;
+  }
+  return 3.0 * static_cast<double>(differ) / static_cast<double>(a.data.size());
 }
 
 }  // namespace
@@ -59,17 +64,17 @@ TEST_CASE("Twelve coats ship, in the order of their index, and all bake") {
     CHECK(names[i].starts_with(begin[i]));
     baked[names[i]] = bake(names[i], 256);
   }
-  // All differ; the two pairs only a little, the others a lot.
+  // All differ in most texels; by much (the eye sees it at once) all but the two pairs that are made to look alike.
   for (int i = 0; i < 12; ++i)
     for (int j = i + 1; j < 12; ++j) {
-      const double d = mean_difference(baked[names[i]], baked[names[j]]);
-      INFO(names[i], " ", names[j], " ", d);
-      const bool alike = (i == 9 && j == 10) || (i == 1 && j == 11);
-      CHECK(d > 1);
-      if (alike)
-        CHECK(d < 12);
-      else
-        CHECK(d > 12);
+      const double much = share_differing(baked[names[i]], baked[names[j]], 50);
+      INFO(names[i], " ", names[j], " ", much);
+      CHECK(share_differing(baked[names[i]], baked[names[j]], 0) > 0.3);
+      if ((i == 9 && j == 10) || (i == 1 && j == 11)) {
+        CHECK(much < 0.001);
+      } else {
+        CHECK(much > 0.008);
+      }
     }
 }
 
@@ -135,7 +140,7 @@ TEST_CASE("Freckles cover the share they are asked for, on average over space") 
   CHECK(covered / (n * n) == doctest::Approx(0.1).epsilon(0.2));
 }
 
-TEST_CASE("Part colours go by name or by its beginning; colours stay within [0, 1]") {
+TEST_CASE("Part colours go by name or by its beginning, colours stay within the unit interval") {
   ProceduralCoat coat;
   coat.base = PlainPattern{vec3(1), 0.5, 0.2};
   coat.fur = 0.5;
