@@ -63,6 +63,13 @@ bool is_label(Modality m) {
 }  // namespace
 
 void add_labels(View& view, const Scene& scene, const FirstHits& hits, const LabelRequest& request) {
+  // An animal covers a tenth of a view: every modality walks these pixels, not all.
+  std::vector<std::uint32_t> of_any, of_labelled;
+  for (std::size_t p = 0; p < hits.instance.size(); ++p)
+    if (labelled(scene, hits.instance[p], -1)) of_any.push_back(static_cast<std::uint32_t>(p));
+  if (request.only_animal >= 0)
+    for (std::uint32_t p : of_any)
+      if (labelled(scene, hits.instance[p], request.only_animal)) of_labelled.push_back(p);
   for (const ModalityRow& r : modality_table()) {
     if (!request.modalities.has(r.id) || !is_label(r.id)) continue;
     Map map;
@@ -72,10 +79,8 @@ void add_labels(View& view, const Scene& scene, const FirstHits& hits, const Lab
     if (integers) map.u = ImageU32(hits.width, hits.height, 1);
     if (r.storage == Storage::exr_ids) map.f = ImageF(hits.width, hits.height, 2);
     if (r.storage == Storage::exr32) map.f = ImageF(hits.width, hits.height, r.channels, background);
-    const int only = r.id == Modality::instance ? -1 : request.only_animal;
-    const std::size_t pixels = hits.instance.size();
-    for (std::size_t p = 0; p < pixels; ++p)
-      if (labelled(scene, hits.instance[p], only)) write_label(map, p, scene, hits);
+    const bool every_animal = r.id == Modality::instance || request.only_animal < 0;
+    for (std::uint32_t p : every_animal ? of_any : of_labelled) write_label(map, p, scene, hits);
     view.maps.push_back(std::move(map));
   }
 }
