@@ -25,9 +25,15 @@ SpeciesSummary summarize_species(const std::string& species, const std::filesyst
 CameraFraming default_framing(const std::string& species, const std::filesystem::path& relative_to) {
   CameraFraming framing;
   const SpeciesSummary summary = summarize_species(species, relative_to);
-  if (!summary.length || !summary.height) return framing;
+  double length = summary.length.value_or(0), height = summary.height.value_or(0);
+  if (!summary.length || !summary.height) {  // a bare rig file, or a species that does not say: measured
+    const Box box = read_species(species, NnopcsNormalization::box, relative_to).rig.surface.neutral_box;
+    length = std::max(box.size().x, box.size().y);
+    height = box.size().z;
+  }
   // The defaults are for an animal 2.2 m long and 1.65 m high; others get the same picture at their scale.
-  const double scale = std::max(*summary.length / 2.2, *summary.height / 1.65);
+  const double scale = std::max(length / 2.2, height / 1.65);
+  if (!(scale > 0)) return framing;
   framing.target *= scale;
   framing.radius *= scale;
   for (double& h : framing.heights) h *= scale;

@@ -104,6 +104,18 @@ Manifest Mill::manifest() const {
   m.subset = spec_.subset;
   m.seed = spec_.seed;
   m.scene = spec_.resolved;
+  // What the files behind the scene's names hold: a dataset is not continued with another cow or coat under an old name.
+  const auto folder = std::filesystem::path(spec_.file).parent_path();
+  const auto hash = [](const std::filesystem::path& file) {
+    const auto bytes = read_file(file);
+    return xxh64_hex(bytes.data(), bytes.size());
+  };
+  for (const AnimalSpec& a : spec_.animals) {
+    m.scene["file_hashes"][a.species] = hash(find_species(a.species, folder));
+    if (!spec_.modalities.has(Modality::rgb)) continue;
+    for (const std::string& coat : a.coats)
+      if (const auto file = find_coat(coat, a.species, folder); !file.empty()) m.scene["file_hashes"][coat] = hash(file);
+  }
   m.per_frame_cameras = cameras_vary(spec_);
   m.cameras = cameras_of_frame(spec_, spec_.frames.empty() ? spec_.first_frame : spec_.frames.front());
   m.coats = spec_.animals[0].coats;

@@ -189,7 +189,8 @@ std::vector<std::string> shipped_coats(const std::string& species);
 // The file a path in a scene means: relative to the scene's folder, else to data_root(). InputError when it is absent.
 std::filesystem::path find_file(const std::string& path, const std::filesystem::path& relative_to);
 
-// Where cameras stand when a scene does not say: three rings around an animal of the size its species file expects.
+// Where cameras stand when a scene does not say: three rings around an animal of the size its species file expects, or
+// of the size its rig has where there is no such word.
 struct CameraFraming {
   dvec3 target{0, 0, 0.8};                     // metres
   double radius = 10.5;                        // metres, horizontally
