@@ -27,9 +27,13 @@ CameraFraming default_framing(const std::string& species, const std::filesystem:
   const SpeciesSummary summary = summarize_species(species, relative_to);
   double length = summary.length.value_or(0), height = summary.height.value_or(0);
   if (!summary.length || !summary.height) {  // a bare rig file, or a species that does not say: measured
-    const Box box = read_species(species, NnopcsNormalization::box, relative_to).rig.surface.neutral_box;
-    length = std::max(box.size().x, box.size().y);
-    height = box.size().z;
+    try {
+      const Box box = read_species(species, NnopcsNormalization::box, relative_to).rig.surface.neutral_box;
+      length = std::max(box.size().x, box.size().y);
+      height = box.size().z;
+    } catch (const InputError&) {  // a broken rig is refused where it is loaded; the scene's own mistakes come first
+      return framing;
+    }
   }
   // The defaults are for an animal 2.2 m long and 1.65 m high; others get the same picture at their scale.
   const double scale = std::max(length / 2.2, height / 1.65);
