@@ -10,6 +10,7 @@
 
 #include "generator/commands.h"
 #include "generator/core/error.h"
+#include "generator/core/parallel.h"
 #include "scenes/words.h"
 
 namespace {
@@ -186,6 +187,7 @@ int run(int argc, char** argv) {
 }  // namespace
 
 int main(int argc, char** argv) {
+  keep_memory_flat();
   try {
     log_to_stderr();
     stop_on_signal();

@@ -1,5 +1,6 @@
 #include "generator/core/parallel.h"
 
+#include <malloc.h>
 #include <pmmintrin.h>
 #include <sched.h>
 #include <xmmintrin.h>
@@ -11,6 +12,12 @@ namespace moomill {
 void set_float_state() {
   _MM_SET_FLUSH_ZERO_MODE(_MM_FLUSH_ZERO_ON);
   _MM_SET_DENORMALS_ZERO_MODE(_MM_DENORMALS_ZERO_ON);
+}
+
+void keep_memory_flat() {
+  // Setting the threshold also stops glibc from raising it (mallopt(3)).
+  mallopt(M_MMAP_THRESHOLD, 1 << 20);
+  mallopt(M_TRIM_THRESHOLD, 4 << 20);
 }
 
 int hardware_threads() {

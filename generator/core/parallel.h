@@ -25,6 +25,10 @@ void parallel_for(std::size_t count, std::size_t grain, const Body& body) {
   });
 }
 
+// Has malloc hand images back to the system when they are freed, instead of keeping them in per-thread heaps that
+// creep upwards for hours. For main(), once, before any thread starts.
+void keep_memory_flat();
+
 // Cores this process may use.
 int hardware_threads();
 

@@ -350,8 +350,9 @@ bool run_memory_child() {
   options.progress = [&](const Progress& p) {
     if (p.views_total == 0) return;
     const double frames = static_cast<double>(scene.frames.size()) * p.views_done / p.views_total;
-    if (frames >= 20 && at20 == 0) at20 = resident_mib();
-    if (frames >= 200 && at200 == 0) at200 = resident_mib();
+    // The largest of some frames: how many views are in flight at one moment is chance.
+    if (frames > 10 && frames <= 20) at20 = std::max(at20, resident_mib());
+    if (frames > 190 && frames <= 200) at200 = std::max(at200, resident_mib());
   };
   generate(scene, options);
   std::printf("%f %f\n", at20, at200);
