@@ -16,8 +16,8 @@ void set_float_state() {
 
 void keep_memory_flat() {
   // Setting the threshold also stops glibc from raising it (mallopt(3)).
-  mallopt(M_MMAP_THRESHOLD, 1 << 20);
-  mallopt(M_TRIM_THRESHOLD, 4 << 20);
+  mallopt(M_MMAP_THRESHOLD, 8 << 20);
+  mallopt(M_TRIM_THRESHOLD, 256 << 20);
 }
 
 int hardware_threads() {
