@@ -117,11 +117,14 @@ int run_plan(const PlanCommand& command) {
 
 int run_generate(const GenerateCommand& command, std::atomic<bool>& stop) {
   const SceneSpec scene = scene_of(command.scene, command.options);
-  ProgressBar bar("views");
-  GenerateOptions options = generate_options(command.out, bar, stop);
-  if (!command.shard.empty()) std::tie(options.shard, options.shards) = parse_shard(command.shard);
-  options.threads = command.threads;
-  generate(scene, options);
+  {
+    ProgressBar bar("views");
+    GenerateOptions options = generate_options(command.out, bar, stop);
+    if (!command.shard.empty()) std::tie(options.shard, options.shards) = parse_shard(command.shard);
+    options.threads = command.threads;
+    generate(scene, options);
+  }
+  print(fmt::format("{} is complete\n", command.out));
   return 0;
 }
 
@@ -166,9 +169,14 @@ int run_validate(const std::string& folder) {
     results = validate_dataset(folder, [&](std::size_t done, std::size_t total) { bar.update(done, total); });
   }
   std::uint64_t failures = 0;
-  std::size_t failed = 0;
+  std::size_t failed = 0, skipped = 0;
   for (const CheckResult& r : results) {
     const bool ok = r.failure_count == 0;
+    if (ok && r.tested == 0) {  // never called a success: there was nothing to hold against anything
+      ++skipped;
+      print(fmt::format("skipped {}: {}\n", r.name, r.note.empty() ? "nothing to compare" : r.note));
+      continue;
+    }
     failed += !ok;
     failures += r.failure_count;
     const std::string worst = r.unit.empty() ? "" : fmt::format(", worst {:.3g} {}", r.worst, r.unit);
@@ -178,7 +186,8 @@ int run_validate(const std::string& folder) {
       print(fmt::format("        and {} more\n", r.failure_count - r.failures.size()));
   }
   if (failures == 0) {
-    print(fmt::format("{}: all {} checks hold\n", folder, results.size()));
+    print(skipped == 0 ? fmt::format("{}: all {} checks hold\n", folder, results.size())
+                       : fmt::format("{}: {} checks hold, {} had nothing to compare\n", folder, results.size() - skipped, skipped));
     return 0;
   }
   print(fmt::format("{}: {} of {} checks fail, {} failures in all\n", folder, failed, results.size(), failures));

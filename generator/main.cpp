@@ -5,6 +5,8 @@
 #include <spdlog/spdlog.h>
 #include <CLI/CLI.hpp>
 
+#include <unistd.h>
+
 #include <csignal>
 #include <cstdio>
 
@@ -24,7 +26,12 @@ std::atomic<bool> stop_wanted{false};
 // The first signal lets the frames in flight finish; the second, whose handling is the default again, kills.
 void stop_on_signal() {
   struct sigaction action {};
-  action.sa_handler = [](int) { stop_wanted.store(true); };
+  action.sa_handler = [](int) {
+    stop_wanted.store(true);
+    // Only what a signal handler may call; the handler is gone after the first signal, so a second one ends at once.
+    constexpr char text[] = "\nmoomill: stopping after the views in flight; once more ends at once\n";
+    [[maybe_unused]] const auto written = ::write(2, text, sizeof text - 1);
+  };
   action.sa_flags = SA_RESETHAND;
   sigemptyset(&action.sa_mask);
   sigaction(SIGINT, &action, nullptr);

@@ -56,6 +56,7 @@ void generate(const SceneSpec& scene, const GenerateOptions& options) {
 
   // Frames in order into the pipeline; preparing overlaps with tracing and encoding of the frame before.
   std::size_t next = 0;
+  std::atomic<std::size_t> frames_done{0};
   bool stopped = false;
   tbb::parallel_pipeline(
       2, tbb::make_filter<void, int>(tbb::filter_mode::serial_in_order,
@@ -70,15 +71,24 @@ void generate(const SceneSpec& scene, const GenerateOptions& options) {
              tbb::make_filter<int, std::shared_ptr<Frame>>(
                  tbb::filter_mode::parallel, [&](int number) { return std::make_shared<Frame>(mill.prepare(number)); }) &
              tbb::make_filter<std::shared_ptr<Frame>, void>(tbb::filter_mode::parallel, [&](const std::shared_ptr<Frame>& frame) {
+               // A stop takes effect at the next view: the frame stays unfinished, and a rerun makes it anew.
+               const auto stopping = [&] { return options.stop && options.stop->load(); };
+               std::atomic<bool> whole{true};
                parallel_for(frame->cameras.size(), 1, [&](std::size_t c) {
+                 if (stopping()) {
+                   whole = false;
+                   return;
+                 }
                  writer.write_view(mill.trace(*frame, frame->cameras[c]));
                  tell("rendering", std::max<std::size_t>(1, manifest.coat_indices.size()));
                });
+               if (!whole) return;
                writer.finish_frame(mill.record(*frame));
+               ++frames_done;
              }));
-  if (stopped && next < frames.size())
-    run_error("stopped after {} of {} frames; run the same command again to continue", manifest.held_frames.size() - (frames.size() - next),
-              manifest.held_frames.size());
+  if (frames_done < frames.size())
+    run_error("stopped after {} of {} frames; run the same command again to continue",
+              manifest.held_frames.size() - (frames.size() - frames_done), manifest.held_frames.size());
   tell("finishing", 0);
   writer.finish();
 }

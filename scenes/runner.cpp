@@ -83,6 +83,8 @@ Mill::Mill(SceneSpec spec) : spec_(std::move(spec)), loaded_(std::make_unique<Lo
       found->second = l.species.back().get();
       ++counts_.species;
     }
+    const Box& neutral = found->second->rig.surface.neutral_box;
+    if (!(neutral.diagonal() > 0)) input_error("{}: {} has no area, nothing can be rendered; export it again", spec_.file, found->second->rig.source);
     l.of_animal.push_back(found->second);
     l.neutral_world.push_back(world_transforms(found->second->rig, found->second->neutral));
   }
@@ -184,6 +186,16 @@ Frame Mill::prepare(int frame) const {
     in.surface = &s.rig.surface;
     in.posed = skin(s.rig, g->bones[a], g->morph_weights[a], s.skinning, scene.origin);
     ++counts_.skins;
+    Box posed;
+    bool finite = true;
+    for (const vec3& v : in.posed.positions) {
+      finite = finite && all_finite(v);
+      posed.add(dvec3(v));
+    }
+    const double size = posed.diagonal(), neutral = s.rig.surface.neutral_box.diagonal();
+    if (!finite || !(size > 1e-3 * neutral) || !(size < 1e3 * neutral))
+      input_error("{}: frame {} tears or flattens {} ({:.3g} m across, {:.3g} m in the neutral pose); look at its clip or pose file",
+                  spec_.file, frame, s.name, size, neutral);
     in.materials = l.appearance.materials[a];
     in.animal = a;
     g->keypoints.push_back(keypoint_positions(s, world[a], l.neutral_world[a], in.posed));

@@ -12,6 +12,9 @@
 namespace moomill {
 namespace {
 
+// Libraries report in paragraphs; our messages are one sentence.
+std::string first_line(const std::string& text) { return text.substr(0, text.find('\n')); }
+
 constexpr std::int64_t largest_image = std::int64_t{1} << 28;  // pixels
 
 template <class T>
@@ -32,7 +35,7 @@ Image<T> read(const std::string& name, OIIO::Filesystem::IOProxy* proxy, OIIO::T
   const int channels = std::min(spec.nchannels, 4);
   Image<T> image(spec.width, spec.height, channels);
   if (!input->read_image(0, 0, 0, channels, type, image.data.data()))
-    input_error("{}: is damaged: {}; get the file anew", name, input->geterror());
+    input_error("{}: is damaged: {}; get the file anew", name, first_line(input->geterror()));
   input->close();
   return image;
 }
