@@ -350,6 +350,7 @@ void Importer::read_mesh(const aiMesh& mesh, const std::string& name, int node, 
   }
   part.vertex_count = static_cast<std::uint32_t>(s.rest.size()) - first;
   part.triangle_count = static_cast<std::uint32_t>(s.triangles.size()) - part.first_triangle;
+  if (part.triangle_count == 0) return;  // points or lines only; no vertex was added
   rig.meshes.push_back(std::move(part));
 
   for (unsigned m = 0; m < mesh.mNumAnimMeshes; ++m) {

@@ -519,6 +519,11 @@ void Reader::read_primitive(int node, const tinygltf::Primitive& primitive, cons
   const Values positions = values(attribute("POSITION"), "positions of " + who, {3});
   const std::size_t count = positions.count, first = rig.surface.rest.size();
   if (first + count > most_vertices) fail("has more than {} vertices, moomill cannot hold them", most_vertices);
+  std::vector<std::uint32_t> corners = read_triangles(primitive, count, who);
+  if (corners.empty()) {
+    ++skipped_primitives;
+    return;
+  }
   const auto read = [&](const std::string& key, std::initializer_list<int> widths) {
     if (!primitive.attributes.count(key)) return Values{};
     Values v = values(attribute(key), key + " of " + who, widths);
@@ -595,7 +600,6 @@ void Reader::read_primitive(int node, const tinygltf::Primitive& primitive, cons
     }
   }
 
-  std::vector<std::uint32_t> corners = read_triangles(primitive, count, who);
   if (glm::determinant(linear) < 0)  // mirrored: keep triangles counter-clockwise from outside
     for (std::size_t i = 0; i < corners.size(); i += 3) std::swap(corners[i + 1], corners[i + 2]);
   int material = primitive.material;
@@ -770,7 +774,7 @@ static Rig read(const std::filesystem::path& path, const LoadOptions& options) {
   if (!s.uvs.empty()) s.uvs.resize(s.rest.size(), vec2(0));
   if (!s.colors.empty()) s.colors.resize(s.rest.size(), vec3(1));
   if (r.skipped_primitives)
-    r.rig.warnings.push_back(fmt::format("{} primitives of points or lines were left out", r.skipped_primitives));
+    r.rig.warnings.push_back(fmt::format("{} primitives without triangles were left out", r.skipped_primitives));
   if (r.leftover_indices)
     r.rig.warnings.push_back(fmt::format("{} indices at the end of a list make no triangle", r.leftover_indices));
   r.read_clips();
