@@ -146,3 +146,12 @@ TEST_CASE("an animal far from the world's origin gets the labels it has at the o
   for (std::size_t i = 0; i < na.size(); ++i) differ += std::abs(na[i] - nb[i]) > 1e-4;
   CHECK(differ <= na.size() / 1000);
 }
+
+TEST_CASE("a pose that tears or flattens the animal is refused, not rendered empty") {
+  for (const char* pose : {R"([{"root": {"translation": [1e300, 0, 0]}}])", R"([{"root": {"scale": [0, 0, 0]}}])"}) {
+    SceneSpec scene = small_scene({"silhouette"});
+    scene.animals[0].poses = {PoseFile{"torn.json", std::make_shared<const Json>(Json::parse(pose))}};
+    const Mill mill(scene);
+    CHECK_THROWS_AS(mill.prepare(1), InputError);
+  }
+}
