@@ -1,6 +1,7 @@
 #include "generator/render/accel.h"
 
 #include <embree3/rtcore.h>
+#include <tbb/task_arena.h>
 
 #include <atomic>
 #include <cstring>
@@ -17,10 +18,10 @@ std::atomic<std::uint64_t> builds{0};
   run_error("Embree failed with error {}: {}", static_cast<int>(code), text ? text : "no description");
 }
 
-// One device for the process; threads=1 keeps builds deterministic.
+// One device for the process. Its option threads=1 would hold all of oneTBB to one thread, not just builds.
 RTCDevice device() {
   static RTCDevice shared = [] {
-    RTCDevice d = rtcNewDevice("isa=avx2,threads=1,start_threads=0,set_affinity=0");
+    RTCDevice d = rtcNewDevice("isa=avx2");
     if (!d) throw_embree(rtcGetDeviceError(nullptr), "no device (the processor must have AVX2)");
     if (!rtcGetDeviceProperty(d, RTC_DEVICE_PROPERTY_RAY_MASK_SUPPORTED) ||
         !rtcGetDeviceProperty(d, RTC_DEVICE_PROPERTY_FILTER_FUNCTION_SUPPORTED))
@@ -32,6 +33,13 @@ RTCDevice device() {
 
 void check_device(const char* doing) {
   if (const RTCError e = rtcGetDeviceError(device()); e != RTC_ERROR_NONE) throw_embree(e, doing);
+}
+
+// rtcCommitScene builds in the arena of its caller; one slot makes the order of triangles, and with it every tie, the
+// same on any machine.
+void commit_on_one_thread(RTCScene scene) {
+  tbb::task_arena one(1);
+  one.execute([&] { rtcCommitScene(scene); });
 }
 
 // What the alpha filter of a geometry needs.
@@ -118,7 +126,7 @@ Accel::Accel(const Scene& scene, BuildKind kind) : state_(std::make_unique<State
     rtcCommitGeometry(g);
     rtcAttachGeometryByID(s.embree, g, static_cast<unsigned>(i));
   }
-  rtcCommitScene(s.embree);
+  commit_on_one_thread(s.embree);
   check_device("building the hierarchy");
   s.measure();
   ++builds;
@@ -133,7 +141,7 @@ void Accel::update() {
     rtcUpdateGeometryBuffer(s.geometries[i], RTC_BUFFER_TYPE_VERTEX, 0);
     rtcCommitGeometry(s.geometries[i]);
   }
-  rtcCommitScene(s.embree);
+  commit_on_one_thread(s.embree);
   check_device("updating the hierarchy");
   s.measure();
   ++builds;

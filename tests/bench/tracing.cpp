@@ -86,7 +86,7 @@ void first_hits_against_raw_embree(benchmark::State& state) {
   const Accel& accel = *frame.geometry->accel;
 
   // The same geometry, flags and rays for the raw loop.
-  RTCDevice device = rtcNewDevice("isa=avx2,threads=1");
+  RTCDevice device = rtcNewDevice("isa=avx2");
   RTCScene raw = rtcNewScene(device);
   rtcSetSceneFlags(raw, RTC_SCENE_FLAG_ROBUST);
   const Instance& in = scene.instances[0];
