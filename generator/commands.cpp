@@ -6,11 +6,11 @@
 #include <algorithm>
 #include <cstdio>
 
+#include "generator/command_tools.h"
 #include "generator/core/error.h"
 #include "generator/dataset/codecs.h"
 #include "generator/dataset/contact_sheet.h"
 #include "generator/progress_bar.h"
-#include "rigs/check.h"
 #include "scenes/generate.h"
 #include "validate/checks.h"
 
@@ -18,10 +18,6 @@ namespace moomill {
 namespace {
 
 namespace fs = std::filesystem;
-
-void print(const std::string& text) {
-  std::fputs(text.c_str(), stdout);
-}
 
 SceneSpec scene_of(const std::string& file, const SceneOptions& options) {
   SceneSpec scene = read_scene(file);
@@ -37,14 +33,6 @@ GenerateOptions generate_options(const fs::path& out, ProgressBar& bar, std::ato
     if (p.views_total > 0) bar.update(p.views_done, p.views_total, p.stage);
   };
   return options;
-}
-
-void require_extension(const std::string& option, const std::string& file, const std::string& extension) {
-  if (fs::path(file).extension() != extension) input_error("{} {}: the file must end in {}", option, file, extension);
-}
-
-bool is_rig_file(const fs::path& file) {
-  return file.extension() != ".toml";
 }
 
 // A folder that is gone again at the end.
@@ -94,17 +82,6 @@ int preview_scene(const PreviewCommand& command, std::atomic<bool>& stop) {
     generate(scene, generate_options(folder.path / "dataset", bar, stop));
   }
   return preview_dataset(folder.path / "dataset", command);
-}
-
-int print_findings(const std::vector<Finding>& findings, const std::string& what) {
-  int wrong = 0;
-  for (const Finding& f : findings) {
-    const bool is_wrong = f.level == Finding::Level::wrong;
-    wrong += is_wrong;
-    print(fmt::format("{:<11} {}\n", is_wrong ? "wrong" : "suspicious", f.text));
-  }
-  if (findings.empty()) print(fmt::format("{}: nothing wrong, nothing suspicious\n", what));
-  return wrong > 0 ? 1 : 0;
 }
 
 }  // namespace
@@ -192,29 +169,6 @@ int run_validate(const std::string& folder) {
   }
   print(fmt::format("{}: {} of {} checks fail, {} failures in all\n", folder, failed, results.size(), failures));
   return 1;
-}
-
-int run_rig_info(const std::string& rig) {
-  const fs::path file = find_species(rig, {});
-  const Rig loaded = is_rig_file(file) ? load_rig(file) : read_species(rig, NnopcsNormalization::box, {}).rig;
-  for (const std::string& w : loaded.warnings) spdlog::warn("{}", w);
-  print(describe_rig(loaded));
-  return 0;
-}
-
-int run_rig_check(const std::string& rig) {
-  const fs::path file = find_species(rig, {});
-  if (is_rig_file(file)) return print_findings(check_rig(load_rig(file)), rig);
-  return print_findings(check_species(read_species(rig, NnopcsNormalization::box, {})), rig);
-}
-
-int run_rig_build(const std::string& spec, const std::string& out) {
-  require_extension("-o", out, ".glb");
-  const Species species = read_species(spec, NnopcsNormalization::box, {});
-  write_glb(species.rig, out);
-  spdlog::info("{} holds {} triangles, {} joints and {} clips", out, species.rig.surface.triangles.size(),
-               species.rig.bones.size(), species.rig.clips.size());
-  return 0;
 }
 
 }  // namespace moomill

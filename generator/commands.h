@@ -47,6 +47,11 @@ int run_preview(const PreviewCommand& command, std::atomic<bool>& stop);
 
 int run_validate(const std::string& folder);
 
+struct StudyResult;
+// Prints the table and what holds of the bounds; writes summary.json and table.md into `folder` unless it is empty.
+// Returns 1 when a figure misses its bound.
+int finish_study(const StudyResult& result, const std::string& folder);
+
 int run_rig_info(const std::string& rig);
 int run_rig_check(const std::string& rig);
 int run_rig_build(const std::string& spec, const std::string& out);

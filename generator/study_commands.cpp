@@ -1,0 +1,22 @@
+// Commands that measure what the project claims: each runs a study, prints its table, writes it where -o says.
+#include "generator/command_tools.h"
+#include "generator/commands.h"
+#include "validate/studies/study.h"
+
+namespace moomill {
+
+int finish_study(const StudyResult& result, const std::string& folder) {
+  print(result.table);
+  int missed = 0;
+  for (const Figure& f : result.figures) {
+    if (!f.at_most && !f.at_least) continue;
+    missed += !f.holds();
+    const double bound = f.at_most ? *f.at_most : *f.at_least;
+    print(fmt::format("{:<6} {}: {:.4g} {}(bound: {} {:.4g})\n", f.holds() ? "ok" : "MISSED", f.name, f.value,
+                      f.unit.empty() ? "" : f.unit + " ", f.at_most ? "at most" : "at least", bound));
+  }
+  if (!folder.empty()) write_study(result, folder);
+  return missed > 0 ? 1 : 0;
+}
+
+}  // namespace moomill
