@@ -37,6 +37,18 @@ std::pair<dvec2, dvec2> extent(const std::vector<dvec2>& points) {
   return {lower, upper};
 }
 
+double flat_area(const Chart& chart, const std::vector<uvec3>& triangles) {
+  const auto at = [&](Index v) {
+    return chart.flat[std::lower_bound(chart.vertices.begin(), chart.vertices.end(), v) - chart.vertices.begin()];
+  };
+  double sum = 0;
+  for (const Index t : chart.triangles) {
+    const dvec2 b = at(triangles[t].y) - at(triangles[t].x), c = at(triangles[t].z) - at(triangles[t].x);
+    sum += 0.5 * std::abs(b.x * c.y - b.y * c.x);
+  }
+  return sum;
+}
+
 // Turns a chart so that its bounding rectangle is smallest and lies flat, its lower corner at the origin.
 void lay_flat(Chart& chart) {
   const auto turned_extent = [&](double angle) {
@@ -187,11 +199,11 @@ std::vector<Place> place_all(const std::vector<Chart>& charts, const std::vector
 void pack_charts(std::vector<Chart>& charts, const std::vector<uvec3>& triangles, double gutter) {
   for (Chart& chart : charts) lay_flat(chart);
   std::vector<double> area(charts.size(), 0.0);
-  double total = 0;
+  double covered = 0;  // square metres
   for (std::size_t c = 0; c < charts.size(); ++c) {
     const dvec2 size = extent(charts[c].flat).second;
     area[c] = size.x * size.y;
-    total += area[c];
+    covered += flat_area(charts[c], triangles);
   }
   std::vector<std::size_t> order(charts.size());
   std::iota(order.begin(), order.end(), std::size_t{0});
@@ -199,24 +211,27 @@ void pack_charts(std::vector<Chart>& charts, const std::vector<uvec3>& triangles
   // A gutter is two cells, so the raster is as fine as the gutter asks for.
   const int gutter_cells = gutter > 0 ? 2 : 0;
   const int side = gutter > 0 ? std::clamp(static_cast<int>(std::floor(gutter_cells / gutter)), 64, 1024) : 512;
-  double low = 0, high = 0;  // cells per metre
+  // Cells per metre: from what fills some 3/5 of the square, up in steps while it fits, or down until it does.
+  double low = 0, high = 0;
   std::vector<Place> best;
-  // From bounding rectangles that fill a quarter of the square, in growing steps to what no longer fits.
-  for (double scale = 0.5 * side / std::sqrt(total); high == 0 && scale > 1e-3 * side; scale *= best.empty() ? 0.7 : 1.1) {
+  const auto fits = [&](double scale) {
     std::vector<Place> places = place_all(charts, triangles, order, side, gutter_cells, scale);
-    if (!places.empty()) low = scale, best = std::move(places);
-    else if (low > 0) high = scale;
+    if (places.empty()) {
+      high = scale;
+      return false;
+    }
+    low = scale, best = std::move(places);
+    return true;
+  };
+  const double first = side * std::sqrt(0.6 / covered);
+  if (fits(first)) {
+    while (fits(low * 1.03)) {}
+  } else {
+    for (double step = 0.97; high > 1e-3 * first && !fits(high * step); step *= step) {}
   }
   if (best.empty())
     input_error("{} UV charts do not fit with a gutter of {}; lower 'gutter' in [builder]", charts.size(), gutter);
-  for (int i = 0; i < 4; ++i) {
-    const double middle = 0.5 * (low + high);
-    std::vector<Place> places = place_all(charts, triangles, order, side, gutter_cells, middle);
-    if (places.empty())
-      high = middle;
-    else
-      low = middle, best = std::move(places);
-  }
+  fits(0.5 * (low + high));
   for (std::size_t c = 0; c < charts.size(); ++c) {
     const dvec2 size = extent(charts[c].flat).second;
     for (dvec2& p : charts[c].flat)

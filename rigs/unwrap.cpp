@@ -195,6 +195,21 @@ bool flattens(Chart& chart, const std::vector<dvec3>& positions, const std::vect
          !border_crosses(chart, triangles);
 }
 
+// Share of its smallest bounding rectangle that a chart fills: sprawling charts cannot be packed.
+double filling(const Chart& chart, double area) {
+  double least = std::numeric_limits<double>::infinity();
+  for (int i = 0; i < 18; ++i) {
+    const double c = std::cos(i * 5 * degrees), s = std::sin(i * 5 * degrees);
+    dvec2 lower(std::numeric_limits<double>::infinity()), upper = -lower;
+    for (const dvec2& p : chart.flat) {
+      const dvec2 q(c * p.x - s * p.y, s * p.x + c * p.y);
+      lower = glm::min(lower, q), upper = glm::max(upper, q);
+    }
+    least = std::min(least, (upper.x - lower.x) * (upper.y - lower.y));
+  }
+  return area / least;
+}
+
 // Both charts in one, the second moved to where their common vertices fit best. Flat positions of these are means.
 Chart united(const Chart& a, const Chart& b) {
   std::vector<std::pair<std::size_t, std::size_t>> common;
@@ -236,7 +251,7 @@ Chart united(const Chart& a, const Chart& b) {
 // Merges neighbours while that keeps stretch low: in every round the best partners of all charts at once.
 void merge_charts(const Faces& f, const std::vector<dvec3>& positions, const std::vector<uvec3>& triangles,
                   std::vector<Chart>& charts) {
-  constexpr double largest = 0.3;  // share of the whole surface: larger ones hinder packing
+  constexpr double largest = 0.25, fullest = 0.62;  // share of the whole surface; of the bounding rectangle
   std::vector<int> owner(triangles.size());
   std::vector<double> area(charts.size(), 0.0);
   std::set<std::pair<int, int>> refused;
@@ -280,7 +295,8 @@ void merge_charts(const Faces& f, const std::vector<dvec3>& positions, const std
     std::vector<std::uint8_t> good(tried.size(), 0);
     parallel_for(tried.size(), 1, [&](std::size_t i) {
       unions[i] = united(charts[tried[i].a], charts[tried[i].b]);
-      good[i] = flattens(unions[i], positions, triangles, 10, 1.6, 0.03);
+      good[i] = filling(unions[i], area[tried[i].a] + area[tried[i].b]) > fullest &&
+                flattens(unions[i], positions, triangles, 10, 1.6, 0.03);
     });
     for (std::size_t i = 0; i < tried.size(); ++i) {
       const auto [gain, a, b] = tried[i];
