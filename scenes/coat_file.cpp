@@ -1,7 +1,8 @@
 // Coat files (textures/<species>/<name>.toml, documented in textures/cow/README.md) and coats named otherwise: "own"
 // for the rig's materials, or an image in the rig's UV space.
+#include "scenes/coat_file.h"
+
 #include "scenes/scene.h"
-#include "scenes/toml.h"
 
 namespace moomill {
 namespace {
@@ -44,7 +45,9 @@ PlainPattern read_plain(TomlReader r) {
   return p;
 }
 
-ProceduralCoat read_procedural(TomlReader& r) {
+}  // namespace
+
+ProceduralCoat read_procedural_coat(TomlReader& r) {
   ProceduralCoat coat;
   coat.seed = static_cast<std::uint64_t>(r.integer("seed", 1, 0, std::numeric_limits<std::int64_t>::max()));
   coat.fur = r.number("fur", coat.fur, 0, 1);
@@ -85,8 +88,6 @@ ProceduralCoat read_procedural(TomlReader& r) {
   return coat;
 }
 
-}  // namespace
-
 Coat read_coat(const std::string& name_or_path, const std::string& species, const fs::path& relative_to) {
   Coat coat;
   coat.name = fs::path(name_or_path).stem().string();
@@ -107,7 +108,7 @@ Coat read_coat(const std::string& name_or_path, const std::string& species, cons
     const std::string image = r.text("image");
     coat.source = ImageCoat{find_file(image, file.parent_path()).string()};
   } else {
-    coat.source = read_procedural(r);
+    coat.source = read_procedural_coat(r);
   }
   r.finish();
   return coat;
