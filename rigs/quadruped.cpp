@@ -6,23 +6,11 @@
 
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
-#include "rigs/clips.h"
 #include "rigs/remesh.h"
 #include "rigs/solids.h"
 #include "rigs/unwrap.h"
 
 namespace moomill {
-
-std::string mirror_name(const std::string& name) {
-  std::string result = name;
-  if (const auto at = result.find("left"); at != std::string::npos) return result.replace(at, 4, "right");
-  if (const auto at = result.find("right"); at != std::string::npos) return result.replace(at, 5, "left");
-  if (result.ends_with("_l"))
-    result.back() = 'r';
-  else if (result.ends_with("_r"))
-    result.back() = 'l';
-  return result;
-}
 
 namespace {
 
@@ -245,7 +233,6 @@ Rig build_quadruped(const QuadrupedSpec& spec) {
   RigMaterial material;
   material.name = "skin";
   rig.materials.push_back(material);
-  rig.clips = build_clips(spec, rig);
   return rig;
 }
 
