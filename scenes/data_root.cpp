@@ -72,8 +72,14 @@ fs::path find_species(const std::string& name_or_path, const fs::path& relative_
 }
 
 std::vector<std::string> shipped_coats(const std::string& species) {
-  const std::set<std::string> names = toml_names(coats_of_species(species));
+  std::set<std::string> names = toml_names(coats_of_species(species));
+  names.erase("finish");  // what they all share
   return {names.begin(), names.end()};
+}
+
+fs::path find_finish(const std::string& species) {
+  const fs::path file = coats_of_species(species) / "finish.toml";
+  return is_file(file) ? file : fs::path();
 }
 
 fs::path find_coat(const std::string& name_or_path, const std::string& species, const fs::path& relative_to) {
