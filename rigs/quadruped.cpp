@@ -164,7 +164,7 @@ Rig build_quadruped(const QuadrupedSpec& spec) {
 
   const Field field = build_field(spec, names, rig.part_names);
   HalfMesh half = polygonise(field, spec.grid);
-  remesh(half, field, spec.target_edge, 6);
+  remesh(half, field, spec.target_edge, 8);
   check_one_body(spec, half);
   const std::vector<double> weights = skin_weights(half, field, twin, spec.target_edge);
 
