@@ -1,5 +1,7 @@
 #include "scenes/quadruped_file.h"
 
+#include "scenes/parts_file.h"
+
 namespace moomill {
 namespace {
 
@@ -84,6 +86,12 @@ QuadrupedSpec read_quadruped(TomlReader r) {
     spec.joints.push_back(std::move(joint));
   }
   for (TomlReader& solid : r.tables("solids")) spec.solids.push_back(read_solid(solid));
+  std::vector<PartSpec> parts;
+  for (TomlReader& part : r.tables("parts")) parts.push_back(read_part(part));
+  if (!parts.empty()) {
+    const std::vector<Solid> solids = expand_parts(parts, spec);
+    spec.solids.insert(spec.solids.end(), solids.begin(), solids.end());
+  }
   for (TomlReader& leg : r.tables("legs")) spec.legs.push_back(read_leg(leg));
   if (r.has("clips")) r.fail("clips", "has moved: one file a clip in the folder 'motion' beside this file");
   r.finish();
