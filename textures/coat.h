@@ -103,6 +103,8 @@ struct OwnMaterials {};
 struct Coat {
   std::string name;
   std::variant<ProceduralCoat, ImageCoat, OwnMaterials> source;
+  std::string about;       // one line for people
+  std::string looks_like;  // another coat it is meant to be hard to tell from; empty for none
 };
 
 // A coat fitted to one animal: patches begin where they cover their share of this very surface, names are looked up.
