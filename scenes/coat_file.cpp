@@ -208,7 +208,8 @@ Coat read_coat(const std::string& name_or_path, const std::string& species, cons
   if (file.extension() != ".toml") input_error("{} is no coat; name a .toml file, a .png or a .jpg", file.string());
   const toml::table table = TomlReader::parse(file);
   TomlReader r(table, file.string());
-  r.text("about", "");  // for people
+  coat.about = r.text("about", "");
+  coat.looks_like = r.text("looks_like", "");
   if (r.has("image")) {
     const std::string image = r.text("image");
     coat.source = ImageCoat{find_file(image, file.parent_path()).string()};

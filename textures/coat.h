@@ -102,6 +102,8 @@ struct OwnMaterials {};
 
 struct Coat {
   std::string name;
+  std::string about;       // one line for people
+  std::string looks_like;  // another coat it is meant to be hard to tell from; empty for none
   std::variant<ProceduralCoat, ImageCoat, OwnMaterials> source;
 };
 
