@@ -55,7 +55,7 @@ Lattice sample_lattice(const Field& field, double grid, Blocks& blocks) {
     return std::array<int, 3>{x, y, z};
   };
   // The field is about metric; more than the half diagonal leaves room for what "about" means.
-  const double reach = 1.6 * 0.5 * std::sqrt(3.0) * block * grid;
+  const double reach = 2.6 * 0.5 * std::sqrt(3.0) * block * grid;
   parallel_for(n, 16, [&](std::size_t b) {
     const auto [x, y, z] = corner(b);
     const double half = 0.5 * block;
