@@ -235,7 +235,7 @@ void flip_edges(Work& w) {
 
 // Moves every vertex to the centre of its neighbours along the surface, all at once. Border vertices see their
 // neighbours' mirror images too, so they keep to y = 0.
-void relax(Work& w, const Field& field) {
+void relax(Work& w, const Field& field, int steps) {
   std::vector<dvec3> moved(w.position);
   parallel_for(w.position.size(), 256, [&](std::size_t i) {
     if (w.around[i].empty()) return;  // collapsed away
@@ -253,7 +253,7 @@ void relax(Work& w, const Field& field) {
     if (w.border[i]) step.y = 0, normal.y = 0;
     const double length = glm::length(normal);
     if (length > 0) step -= normal * (glm::dot(step, normal) / (length * length));
-    const dvec3 p = field.project(w.position[i] + 0.7 * step, 3, w.border[i]);
+    const dvec3 p = field.project(w.position[i] + 0.7 * step, steps, w.border[i]);
     // Near a crease the projection may jump to another sheet; then the vertex stays.
     if (glm::length(p - w.position[i]) < w.size[i] && (w.border[i] || p.y > 1e-4)) moved[i] = p;
   });
@@ -366,9 +366,9 @@ void remesh(HalfMesh& mesh, const Field& field, double target_edge, int rounds) 
       refresh_sizes(w, field, target_edge, false);
     }
     flip_edges(w);
-    relax(w, field);
+    relax(w, field, 1);
   }
-  relax(w, field);
+  relax(w, field, 3);
   flip_edges(w);
   mesh = compacted(w);
 }

@@ -193,6 +193,11 @@ ShapeSample sample_shape(const Shape& shape, const dvec3& p) {
   // Near the axis the slope has no meaning; the smallest radius is as far as the surface can be.
   const double least = std::min(rs, ru);
   result.distance = g < 0.05 ? (g - 1) * least : std::max((g - 1) / slope, -least);
+  // Well inside, the ends may be nearer than the sides (a flat sole, say).
+  if (!ellipsoid && result.distance < 0)
+    result.distance =
+        std::max({result.distance, -(std::max(place, 0.0) + shape.cap_start - (place < 0 ? w : 0)),
+                  -(std::max(length - place, 0.0) + shape.cap_end - (place > length ? w : 0))});
   return result;
 }
 
