@@ -188,6 +188,15 @@ int run(int argc, char** argv) {
   c->add_option("--against", compare.reference, "reference, as in validate/silhouettes")->required()->type_name("FILE.toml");
   c->add_option("-o,--out", compare.out, "folder for figures and pictures")->required()->type_name("DIR");
 
+  std::string deform_scene;
+  SceneOptions deform_options;
+  c = add_command(*rig, "deform", "How well the skin holds in the poses of a scene; exit 1 when a bound is missed",
+                  "moomill rig deform scenes/nepumoo.toml -o out/deform", status,
+                  [&] { return run_rig_deform(deform_scene, deform_options, rig_out); });
+  c->add_option("scene", deform_scene, "scene file; the poses of its first animal")->required()->type_name("SCENE");
+  c->add_option("-o,--out", rig_out, "folder for summary.json and table.md")->type_name("DIR");
+  c->add_option("--frames", deform_options.frames, "frames A to B only, both included")->type_name("A:B");
+
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& e) {

@@ -3,10 +3,13 @@
 #include "generator/commands.h"
 #include "generator/dataset/codecs.h"
 #include "scenes/scene.h"
+#include "validate/studies/deformation.h"
 #include "validate/studies/silhouette.h"
 #include "validate/studies/study.h"
 
 namespace moomill {
+
+namespace fs = std::filesystem;
 
 int finish_study(const StudyResult& result, const std::string& folder) {
   print(result.table);
@@ -31,6 +34,16 @@ int run_rig_compare(const CompareCommand& command) {
   const std::vector<std::uint8_t> png = encode_png8(silhouette_sheet(fit, result.title));
   write_file_atomically(std::filesystem::path(command.out) / "silhouettes.png", png.data(), png.size());
   return finish_study(result, command.out);
+}
+
+int run_rig_deform(const std::string& file, const SceneOptions& options, const std::string& folder) {
+  SceneSpec scene = read_scene(file);
+  apply_overrides(scene, parse_overrides(options));
+  const Species species = read_species(scene.animals[0].species, scene.normalization, fs::path(scene.file).parent_path());
+  std::vector<Pose> poses;
+  for (const int frame : scene.frames)
+    poses.push_back(pose_of_frame(scene, scene.animals[0], species, frame - scene.first_frame));
+  return finish_study(study_deformation(species, poses, scene.frames.front()), folder);
 }
 
 }  // namespace moomill

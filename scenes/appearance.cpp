@@ -55,11 +55,34 @@ std::vector<Coat> coats_of(const SceneSpec& scene, std::size_t animal) {
   return coats;
 }
 
+// What the coats of one animal share, made when the first of them is baked.
+class Baker {
+ public:
+  Baker(const Species& species, const std::string& name, int resolution)
+      : species_(species), name_(name), resolution_(resolution) {}
+
+  Image8 coat(const ProceduralCoat& coat) {
+    if (!hide_) {
+      hide_ = make_hide(species_.rig.surface, species_.rig.part_names, read_finish(name_).hair);
+      texels_ = map_texels(*hide_, resolution_);
+    }
+    know_parts(*hide_, coat);
+    return bake_coat(ready_coat(coat, *hide_), *hide_, texels_);
+  }
+
+ private:
+  const Species& species_;
+  std::string name_;
+  int resolution_;
+  std::optional<Hide> hide_;
+  TexelMap texels_;
+};
+
 // The image of a coat in the rig's UV space, or nothing for one that wears the rig's own materials.
-std::optional<Image8> image_of(const Coat& coat, const Species& species, const SceneSpec& scene, StageCounts& counts) {
+std::optional<Image8> image_of(const Coat& coat, const Species& species, Baker& baker, StageCounts& counts) {
   if (const auto* procedural = std::get_if<ProceduralCoat>(&coat.source)) {
     ++counts.coats;
-    return bake_coat(*procedural, species.rig.surface, species.rig.part_names, scene.render.coat_resolution);
+    return baker.coat(*procedural);
   }
   if (const auto* file = std::get_if<ImageCoat>(&coat.source)) {
     if (species.rig.surface.uvs.empty())
@@ -97,10 +120,11 @@ BuiltAppearance build_appearance(const SceneSpec& scene, const std::vector<const
     std::vector<std::optional<Image8>> images;
     int shared_paint = -1;
     if (with_light) {
+      Baker baker(s, scene.animals[animal].species, scene.render.coat_resolution);
       for (const Coat& coat : coats_of(scene, animal)) {
         // Animals that wear one coat beside many of the first need not bake it again.
         const bool repeated = !images.empty() && scene.animals[animal].coats.size() <= 1;
-        images.push_back(repeated ? images.front() : image_of(coat, s, scene, counts));
+        images.push_back(repeated ? images.front() : image_of(coat, s, baker, counts));
       }
       bool stackable = images[0].has_value();
       for (const auto& im : images)

@@ -15,6 +15,7 @@
 #include "generator/dataset/dataset.h"
 #include "rigs/species.h"
 #include "textures/coat.h"
+#include "textures/finish.h"
 
 namespace moomill {
 
@@ -204,6 +205,9 @@ CameraFraming default_framing(const std::string& species, const std::filesystem:
 int find_joint(const Rig& rig, const std::string& reference);
 
 Coat read_coat(const std::string& name_or_path, const std::string& species, const std::filesystem::path& relative_to);
+// textures/<species>/finish.toml; where a species has none, the defaults, and of find_finish() an empty path.
+Finish read_finish(const std::string& species);
+std::filesystem::path find_finish(const std::string& species);
 
 // Where data folders are: $MOOMILL_HOME, else the source tree the program was built from.
 std::filesystem::path data_root();

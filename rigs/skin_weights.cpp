@@ -1,0 +1,231 @@
+#include "rigs/skin_weights.h"
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <queue>
+
+#include "generator/core/error.h"
+#include "generator/core/parallel.h"
+
+namespace moomill {
+namespace {
+
+struct Arrival {
+  double time;
+  std::int32_t cell;
+  bool operator>(const Arrival& o) const { return time != o.time ? time > o.time : cell > o.cell; }
+};
+
+// Upwind solution of |grad t| = slowness at a cell from the neighbours that are done (Sethian 1996). `grid` spacing.
+double eikonal(std::array<double, 3> t, double step, double slowness) {
+  std::sort(t.begin(), t.end());
+  const double h = step * slowness;
+  double best = t[0] + h;
+  for (int count = 2; count <= 3; ++count) {
+    if (!(best > t[count - 1])) break;
+    double sum = 0, squares = 0;
+    for (int i = 0; i < count; ++i) sum += t[i], squares += t[i] * t[i];
+    const double under = sum * sum - count * (squares - h * h);
+    if (under < 0) break;
+    best = (sum + std::sqrt(under)) / count;
+  }
+  return best;
+}
+
+// Conjugate gradients with Jacobi preconditioning on (L + diag(k)) w = diag(k) p, L the graph Laplacian of the cells.
+// Screened as it is, a few dozen steps do.
+void solve(const VoxelSolid& solid, const std::vector<double>& k, std::vector<double>& w) {
+  const std::size_t n = k.size();
+  std::vector<double> residual(n), direction(n), image(n), inverse(n);
+  const auto apply = [&](const std::vector<double>& x, std::vector<double>& y) {
+    for (std::size_t i = 0; i < n; ++i) {
+      double sum = k[i] * x[i];
+      for (const std::int32_t j : solid.near[i])
+        if (j >= 0) sum += x[i] - x[j];
+      y[i] = sum;
+    }
+  };
+  for (std::size_t i = 0; i < n; ++i) {
+    double diagonal = k[i];
+    for (const std::int32_t j : solid.near[i]) diagonal += j >= 0;
+    inverse[i] = 1 / diagonal;
+  }
+  apply(w, image);  // starts at the seeds themselves: the residual is minus their Laplacian
+  double rz = 0;
+  for (std::size_t i = 0; i < n; ++i) {
+    residual[i] = k[i] * w[i] - image[i];
+    direction[i] = inverse[i] * residual[i];
+    rz += residual[i] * direction[i];
+  }
+  const double goal = 1e-10 * rz;
+  for (int step = 0; step < 400 && rz > goal; ++step) {
+    apply(direction, image);
+    double curvature = 0;
+    for (std::size_t i = 0; i < n; ++i) curvature += direction[i] * image[i];
+    const double alpha = rz / curvature;
+    double next = 0;
+    for (std::size_t i = 0; i < n; ++i) {
+      w[i] += alpha * direction[i];
+      residual[i] -= alpha * image[i];
+      next += residual[i] * residual[i] * inverse[i];
+    }
+    const double beta = next / rz;
+    rz = next;
+    for (std::size_t i = 0; i < n; ++i) direction[i] = inverse[i] * residual[i] + beta * direction[i];
+  }
+}
+
+// Trilinear sampling among the cells that hang together with the one the point is in.
+struct Stencil {
+  std::array<std::int32_t, 8> cell{};
+  std::array<double, 8> weight{};
+  int count = 0;
+};
+
+Stencil stencil_at(const VoxelSolid& solid, const dvec3& p) {
+  Stencil s;
+  const int own = solid.find(p, 16 * solid.cell);
+  if (own < 0) return s;
+  const dvec3 q = (p - solid.centre(own)) / solid.cell;
+  for (int corner = 0; corner < 8; ++corner) {
+    double weight = 1;
+    for (int a = 0; a < 3; ++a) {
+      const double f = std::min(std::abs(q[a]), 0.5);
+      weight *= corner >> a & 1 ? f : 1 - f;
+    }
+    // Any order of steps that stays in the solid will do.
+    std::int32_t found = -1;
+    std::array<int, 3> order{0, 1, 2};
+    do {
+      std::int32_t c = own;
+      for (const int a : order)
+        if (c >= 0 && (corner >> a & 1)) c = solid.near[c][2 * a + (q[a] > 0)];
+      if (c >= 0) found = c;
+    } while (found < 0 && std::next_permutation(order.begin(), order.end()));
+    if (found < 0 || weight <= 0) continue;
+    s.cell[s.count] = found;
+    s.weight[s.count++] = weight;
+  }
+  double total = 0;
+  for (int i = 0; i < s.count; ++i) total += s.weight[i];
+  for (int i = 0; i < s.count; ++i) s.weight[i] /= total;
+  return s;
+}
+
+}  // namespace
+
+Seeds seeds_of_bones(const VoxelSolid& solid, const std::vector<BoneSegment>& bones, int joints) {
+  const std::size_t n = solid.places.size();
+  std::vector<double> time(n, std::numeric_limits<double>::infinity());
+  std::vector<int> owner(n, -1);
+  std::vector<std::uint8_t> done(n, 0);
+  std::priority_queue<Arrival, std::vector<Arrival>, std::greater<>> queue;
+  for (std::size_t b = 0; b < bones.size(); ++b) {
+    const double length = glm::length(bones[b].to - bones[b].from);
+    const int steps = std::max(1, static_cast<int>(std::ceil(2 * length / solid.cell)));
+    for (int k = 0; k <= steps; ++k) {
+      const dvec3 p = glm::mix(bones[b].from, bones[b].to, static_cast<double>(k) / steps);
+      const int cell = solid.find(p, 4 * bones[b].radius + 4 * solid.cell);
+      if (cell < 0) continue;
+      const double t = glm::length(solid.centre(cell) - p) / bones[b].radius;
+      if (t < time[cell]) {
+        time[cell] = t, owner[cell] = static_cast<int>(b);
+        queue.push({t, cell});
+      }
+    }
+  }
+  while (!queue.empty()) {
+    const Arrival a = queue.top();
+    queue.pop();
+    if (done[a.cell] || a.time != time[a.cell]) continue;
+    done[a.cell] = 1;
+    for (const std::int32_t j : solid.near[a.cell]) {
+      if (j < 0 || done[j]) continue;
+      // Only neighbours of the same bone: fronts of two bones do not help each other on.
+      const int bone = owner[a.cell];
+      std::array<double, 3> along;
+      along.fill(std::numeric_limits<double>::infinity());
+      for (int side = 0; side < 6; ++side) {
+        const std::int32_t m = solid.near[j][side];
+        if (m >= 0 && done[m] && owner[m] == bone) along[side / 2] = std::min(along[side / 2], time[m]);
+      }
+      const double t = eikonal(along, solid.cell, 1 / bones[bone].radius);
+      if (t < time[j]) {
+        time[j] = t, owner[j] = bone;
+        queue.push({t, j});
+      }
+    }
+  }
+  // Cells that hang together with no bone (an eye, a horn of its own): by distance through the air.
+  parallel_for(n, 256, [&](std::size_t i) {
+    if (owner[i] >= 0) return;
+    const dvec3 p = solid.centre(i);
+    double least = std::numeric_limits<double>::infinity();
+    for (std::size_t b = 0; b < bones.size(); ++b) {
+      const dvec3 ab = bones[b].to - bones[b].from, ap = p - bones[b].from;
+      const double square = glm::dot(ab, ab);
+      const double t = square > 0 ? std::clamp(glm::dot(ap, ab) / square, 0.0, 1.0) : 0.0;
+      const double d = glm::length(ap - t * ab) / bones[b].radius;
+      if (d < least) least = d, owner[i] = static_cast<int>(b);
+    }
+  });
+  Seeds seeds(n * joints, 0.0f);
+  for (std::size_t i = 0; i < n; ++i)
+    if (owner[i] >= 0) seeds[i * joints + bones[owner[i]].joint] = 1;
+  return seeds;
+}
+
+std::vector<double> diffuse_weights(const VoxelSolid& solid, const Seeds& seeds, int joints,
+                                    const std::vector<dvec3>& points, const DiffusionOptions& options) {
+  const std::size_t n = solid.places.size();
+  check(seeds.size() == n * joints, "every cell needs a row of seeds");
+  std::vector<double> k(n);
+  for (std::size_t i = 0; i < n; ++i) {
+    const double s = std::clamp(options.reach * solid.thickness[i], solid.cell, std::max(solid.cell, options.most));
+    k[i] = solid.cell * solid.cell / (s * s);
+  }
+  std::vector<Stencil> stencils(points.size());
+  parallel_for(points.size(), 256, [&](std::size_t p) { stencils[p] = stencil_at(solid, points[p]); });
+  std::vector<double> weights(points.size() * joints, 0.0);
+  parallel_for(joints, 1, [&](std::size_t j) {
+    std::vector<double> w(n);
+    bool any = false;
+    for (std::size_t i = 0; i < n; ++i) {
+      w[i] = seeds[i * joints + j];
+      any |= w[i] > 0;
+    }
+    if (!any) return;
+    solve(solid, k, w);
+    for (std::size_t p = 0; p < points.size(); ++p) {
+      double sum = 0;
+      for (int i = 0; i < stencils[p].count; ++i) sum += stencils[p].weight[i] * w[stencils[p].cell[i]];
+      weights[p * joints + j] = std::max(sum, 0.0);
+    }
+  });
+  for (std::size_t p = 0; p < points.size(); ++p) {
+    double total = 0;
+    for (int j = 0; j < joints; ++j) total += weights[p * joints + j];
+    if (total > 0)
+      for (int j = 0; j < joints; ++j) weights[p * joints + j] /= total;
+  }
+  return weights;
+}
+
+std::vector<Influence> strongest_influences(const double* weights, const std::vector<int>& twin, bool keep_twins) {
+  std::vector<int> order;
+  for (std::size_t j = 0; j < twin.size(); ++j)
+    if (weights[j] > 0.01) order.push_back(static_cast<int>(j));
+  std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return weights[a] > weights[b]; });
+  if (order.size() > 4) {
+    const bool torn = keep_twins && twin[order[3]] == order[4];
+    order.resize(torn ? 3 : 4);
+  }
+  double total = 0;
+  for (const int j : order) total += weights[j];
+  std::vector<Influence> result;
+  for (const int j : order) result.push_back({static_cast<std::uint32_t>(j), static_cast<float>(weights[j] / total)});
+  return result;
+}
+
+}  // namespace moomill
