@@ -34,7 +34,8 @@ struct ClipResult {
   int beyond = 0;          // joint angles out of limits, samples times joints
   double excess_deg = 0;   // the worst of them
   double speed = 0;        // m/s over the ground
-  std::string worst_joint;
+  std::string worst_joint, deepest_joint;
+  double deepest_at = 0;  // seconds
 };
 
 double model_height(const Species& s) {
@@ -181,8 +182,12 @@ ClipResult measure_clip(const Species& s, const Clip& clip, const std::vector<in
   }
   double ground = 0;
   r.below = std::numeric_limits<double>::infinity();
-  for (const auto& positions : shot.positions)
-    for (const vec3& p : positions) r.below = std::min(r.below, static_cast<double>(p.z));
+  for (std::size_t i = 0; i < shot.positions.size(); ++i)
+    for (std::size_t v = 0; v < shot.positions[i].size(); ++v)
+      if (const double z = shot.positions[i][v].z; z < r.below) {
+        r.below = z, r.deepest_at = shot.times[i];
+        r.deepest_joint = dominant[v] < 0 ? "" : s.rig.nodes[dominant[v]].name;
+      }
   if (!plan) ground = r.below;
   std::vector<Stances> stances;
   for (const Foot& foot : feet)
@@ -236,9 +241,9 @@ std::string clip_table(const std::vector<ClipResult>& results) {
       "| clip | bearing feet from | bearing | speed m/s | off the ground cm | slip cm | lowest point cm | loop closes cm | "
       "angles beyond limits | worst beyond, deg |\n|---|---|---|---|---|---|---|---|---|---|\n";
   for (const ClipResult& r : results)
-    t += fmt::format("| {} | {} | {:.0f} % | {:.2f} | {:.2f} | {:.2f} | {:.2f} | {:.4f} | {} | {:.1f} {} |\n", r.name,
+    t += fmt::format("| {} | {} | {:.0f} % | {:.2f} | {:.2f} | {:.2f} | {:.2f} at {:.2f} s, {} | {:.4f} | {} | {:.1f} {} |\n", r.name,
                      r.planned ? "the plan" : "the mesh", 100 * r.bearing, r.speed, 100 * r.off_ground, 100 * r.slip,
-                     100 * r.below, 100 * r.closure, r.beyond, r.excess_deg, r.worst_joint);
+                     100 * r.below, r.deepest_at, r.deepest_joint, 100 * r.closure, r.beyond, r.excess_deg, r.worst_joint);
   return t;
 }
 
