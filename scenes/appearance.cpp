@@ -55,24 +55,31 @@ std::vector<Coat> coats_of(const SceneSpec& scene, std::size_t animal) {
   return coats;
 }
 
-// What the coats of one animal share, made when the first of them is baked.
+// What the coats of one species share, made when it is first asked for.
 class Baker {
  public:
   Baker(const Species& species, const std::string& name, int resolution)
-      : species_(species), name_(name), resolution_(resolution) {}
+      : species_(species), finish_(read_finish(name)), resolution_(resolution) {}
 
   Image8 coat(const ProceduralCoat& coat) {
-    if (!hide_) {
-      hide_ = make_hide(species_.rig.surface, species_.rig.part_names, read_finish(name_).hair);
-      texels_ = map_texels(*hide_, resolution_);
-    }
+    prepare();
     know_parts(*hide_, coat);
     return bake_coat(ready_coat(coat, *hide_), *hide_, texels_);
   }
+  FinishMaps finish() {
+    prepare();
+    return bake_finish(finish_, *hide_, texels_);
+  }
+  int normal = -1, roughness = -1;  // the finish among the appearance's textures, once it is
 
  private:
+  void prepare() {
+    if (hide_) return;
+    hide_ = make_hide(species_.rig.surface, species_.rig.part_names, finish_.hair);
+    texels_ = map_texels(*hide_, resolution_);
+  }
   const Species& species_;
-  std::string name_;
+  Finish finish_;
   int resolution_;
   std::optional<Hide> hide_;
   TexelMap texels_;
@@ -110,6 +117,7 @@ BuiltAppearance build_appearance(const SceneSpec& scene, const std::vector<const
   if (with_light && (a.coat_count < 1 || a.coat_count > 32))
     input_error("{}: {} coats at once; a run shades 1 to 32, so choose some with --coats", scene.file, a.coat_count);
   TexturePool pool(a, counts);
+  std::map<const Species*, Baker> bakers;  // animals of a species share theirs
 
   for (std::size_t animal = 0; animal < species.size(); ++animal) {
     const Species& s = *species[animal];
@@ -119,8 +127,22 @@ BuiltAppearance build_appearance(const SceneSpec& scene, const std::vector<const
     // Coats that are images are one paint for all materials; a coat "own" wants one paint a material.
     std::vector<std::optional<Image8>> images;
     int shared_paint = -1;
+    int finish_normal = -1, finish_roughness = -1;
     if (with_light) {
-      Baker baker(s, scene.animals[animal].species, scene.render.coat_resolution);
+      const std::string& name = scene.animals[animal].species;
+      Baker& baker = bakers.try_emplace(&s, s, name, scene.render.coat_resolution).first->second;
+      // Whatever its coats: a coat must look the same alone and beside others.
+      if (has_uvs && !find_finish(name).empty()) {
+        if (baker.normal < 0) {
+          FinishMaps maps = baker.finish();
+          ++counts.finishes;
+          const TexturePlacement clamped{Wrap::clamp, Wrap::clamp};
+          baker.normal = pool.add(Texture{std::move(maps.normal), clamped});
+          baker.roughness = pool.add(Texture{std::move(maps.roughness), clamped});
+        }
+        finish_normal = baker.normal;
+        finish_roughness = baker.roughness;
+      }
       for (const Coat& coat : coats_of(scene, animal)) {
         // Animals that wear one coat beside many of the first need not bake it again.
         const bool repeated = !images.empty() && scene.animals[animal].coats.size() <= 1;
@@ -162,6 +184,13 @@ BuiltAppearance build_appearance(const SceneSpec& scene, const std::vector<const
           out.metallic_roughness_texture = pool.add(s, m.metallic_roughness_texture);
           out.normal_texture = pool.add(s, m.normal_texture);
           out.normal_scale = m.normal_scale;
+        }
+        if (finish_normal >= 0) {
+          out.roughness = 1;
+          out.metallic = 0;
+          out.metallic_roughness_texture = finish_roughness;
+          out.normal_texture = finish_normal;
+          out.normal_scale = 1;
         }
         out.paint = shared_paint;
         if (shared_paint < 0) {

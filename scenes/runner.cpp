@@ -115,6 +115,8 @@ Manifest Mill::manifest() const {
   for (const AnimalSpec& a : spec_.animals) {
     m.scene["file_hashes"][a.species] = hash(find_species(a.species, folder));
     if (!spec_.modalities.has(Modality::rgb)) continue;
+    if (const auto file = find_finish(a.species); !file.empty())
+      m.scene["file_hashes"][fmt::format("finish of {}", a.species)] = hash(file);
     for (const std::string& coat : a.coats)
       if (const auto file = find_coat(coat, a.species, folder); !file.empty()) m.scene["file_hashes"][coat] = hash(file);
   }
