@@ -132,6 +132,7 @@ QuadrupedSpec read_quadruped(TomlReader r) {
     const std::vector<Solid> solids = expand_parts(parts, spec);
     spec.solids.insert(spec.solids.end(), solids.begin(), solids.end());
   }
+  if (const double scale = r.number("scale", 1, 0.01, 100); scale != 1) scale_spec(spec, scale);
   for (TomlReader& leg : r.tables("legs")) spec.legs.push_back(read_leg(leg));
   if (r.has("clips")) r.fail("clips", "has moved: one file a clip in the folder 'motion' beside this file");
   r.finish();
