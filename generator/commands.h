@@ -52,6 +52,11 @@ struct StudyResult;
 // Returns 1 when a figure misses its bound.
 int finish_study(const StudyResult& result, const std::string& folder);
 
+struct CompareCommand {
+  std::string rig, reference, out;
+};
+int run_rig_compare(const CompareCommand& command);
+
 int run_rig_info(const std::string& rig);
 int run_rig_check(const std::string& rig);
 int run_rig_build(const std::string& spec, const std::string& out);

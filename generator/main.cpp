@@ -180,6 +180,13 @@ int run(int argc, char** argv) {
                   [&] { return run_rig_build(rig_name, rig_out); });
   c->add_option("species", rig_name, "species file or species name")->required()->type_name("SPEC");
   c->add_option("-o,--out", rig_out, "rig file to write")->required()->type_name("RIG.glb");
+  CompareCommand compare;
+  c = add_command(*rig, "compare", "Overlap of silhouettes with a reference mesh, after fitting place, pose and three scales",
+                  "moomill rig compare cow --against validate/silhouettes/holstein.toml -o out/holstein", status,
+                  [&] { return run_rig_compare(compare); });
+  c->add_option("rig", compare.rig, "rig file, species file or species name")->required()->type_name("RIG");
+  c->add_option("--against", compare.reference, "reference, as in validate/silhouettes")->required()->type_name("FILE.toml");
+  c->add_option("-o,--out", compare.out, "folder for figures and pictures")->required()->type_name("DIR");
 
   std::string deform_scene;
   SceneOptions deform_options;

@@ -1,8 +1,10 @@
 // Commands that measure what the project claims: each runs a study, prints its table, writes it where -o says.
 #include "generator/command_tools.h"
 #include "generator/commands.h"
+#include "generator/dataset/codecs.h"
 #include "scenes/scene.h"
 #include "validate/studies/deformation.h"
+#include "validate/studies/silhouette.h"
 #include "validate/studies/study.h"
 
 namespace moomill {
@@ -31,6 +33,17 @@ int run_rig_deform(const std::string& file, const SceneOptions& options, const s
   for (const int frame : scene.frames)
     poses.push_back(pose_of_frame(scene, scene.animals[0], species, frame - scene.first_frame));
   return finish_study(study_deformation(species, poses, scene.frames.front()), folder);
+}
+
+int run_rig_compare(const CompareCommand& command) {
+  const SilhouetteReference reference = read_silhouette_reference(find_file(command.reference, {}));
+  const SilhouetteMesh mesh = load_silhouette_reference(reference);
+  const Species species = read_species(command.rig, NnopcsNormalization::box, {});
+  const SilhouetteFit fit = fit_silhouettes(species, reference, mesh);
+  const StudyResult result = silhouette_study(species, reference, fit);
+  const std::vector<std::uint8_t> png = encode_png8(silhouette_sheet(fit, result.title));
+  write_file_atomically(std::filesystem::path(command.out) / "silhouettes.png", png.data(), png.size());
+  return finish_study(result, command.out);
 }
 
 }  // namespace moomill

@@ -2,6 +2,7 @@
 // what its neutral pose, keypoints, skeleton and joint limits are.
 #include <set>
 
+#include "scenes/motion_file.h"
 #include "scenes/quadruped_file.h"
 #include "scenes/scene.h"
 #include "scenes/toml.h"
@@ -65,6 +66,7 @@ class SpeciesReader {
     check_pairs();
     read_limits();
     root_.finish();
+    if (built) s_.rig.clips = build_clips(root_.file(), legs_, read_motion(folder_ / "motion"), s_.rig);
     finish_species(s_, normalization,
                    stand == "as_is"    ? Stand::as_is
                    : stand == "ground" ? Stand::ground
@@ -83,7 +85,9 @@ class SpeciesReader {
       t->finish();
       std::optional<TomlReader> numbers = root_.table("builder");
       if (!numbers) root_.missing("builder", "[builder] with the joints and solids of the animal");
-      s_.rig = build_quadruped(read_quadruped(*numbers));
+      const QuadrupedSpec spec = read_quadruped(*numbers);
+      s_.rig = build_quadruped(spec);
+      legs_ = spec.legs;
       return true;
     }
     if (root_.has("builder")) root_.fail("builder", "has no effect beside [source] file; leave one of them out");
@@ -237,6 +241,7 @@ class SpeciesReader {
   Species s_;
   TomlReader root_;
   fs::path folder_;
+  std::vector<LegSpec> legs_;
 };
 
 }  // namespace

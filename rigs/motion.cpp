@@ -1,4 +1,4 @@
-#include "rigs/clips.h"
+#include "rigs/motion.h"
 
 #include <algorithm>
 #include <array>
@@ -129,21 +129,20 @@ dvec3 track_at(const TrackSpec& track, double time) {
 
 class ClipBuilder {
  public:
-  ClipBuilder(const QuadrupedSpec& spec, const Rig& rig) : spec_(spec), rig_(rig) {
+  ClipBuilder(const std::string& legs_source, const std::vector<LegSpec>& legs, const Rig& rig) : rig_(rig) {
     for (const Node& node : rig.nodes)
       skeleton_.parent.push_back(node.parent), skeleton_.offset.push_back(node.translation);
     rest_.rotation.assign(rig.nodes.size(), dquat(1, 0, 0, 0));
     rest_.shift.assign(rig.nodes.size(), dvec3(0));
-    for (const LegSpec& l : spec.legs) {
-      add_leg(l, false);
-      if (l.mirror) add_leg(l, true);
+    for (const LegSpec& l : legs) {
+      add_leg(l, legs_source, false);
+      if (l.mirror) add_leg(l, legs_source, true);
     }
   }
 
   Clip build(const ClipSpec& c) {
     if (c.gait && c.gait->phases.size() != legs_.size())
-      input_error("{}: the gait of clip '{}' has {} phases; give one for each of the {} legs", spec_.source, c.name,
-                  c.gait->phases.size(), legs_.size());
+      input_error("{}: [gait] has {} phases; give one for each of the {} legs", c.source, c.gait->phases.size(), legs_.size());
     std::vector<Frame> frames;
     for (int k = 0; k <= c.keys; ++k) {
       // The last key is the first again, to the last bit; so the loop has no seam. Tracks that end elsewhere may jump.
@@ -177,15 +176,15 @@ class ClipBuilder {
   }
 
  private:
-  int joint(const std::string& name, const std::string& user) const {
+  int joint(const std::string& name, const std::string& source) const {
     for (std::size_t i = 0; i < rig_.nodes.size(); ++i)
       if (rig_.nodes[i].name == name) return static_cast<int>(i);
-    input_error("{}: {} names the joint '{}', which is not in [[builder.joints]]", spec_.source, user, name);
+    input_error("{} names the joint '{}', which {} does not have", source, name, rig_.source);
   }
 
-  void add_leg(const LegSpec& l, bool right) {
+  void add_leg(const LegSpec& l, const std::string& source, bool right) {
     const auto find = [&](const std::string& name) {
-      return joint(right ? mirror_name(name) : name, "a leg of [[builder.legs]]");
+      return joint(right ? mirror_name(name) : name, source + ": a leg");
     };
     Leg leg;
     if (!l.blade.empty()) leg.blade = find(l.blade);
@@ -201,12 +200,12 @@ class ClipBuilder {
     std::vector<dvec3> angles(rig_.nodes.size(), dvec3(0));
     Frame f = rest_;
     for (const WaveSpec& w : c.waves) {
-      const int j = joint(w.joint, "clip '" + c.name + "'");
+      const int j = joint(w.joint, c.source);
       const double wave = std::sin(2 * pi * (w.cycles * cycle + w.phase));
       angles[j] += w.offset_deg + w.amplitude_deg * wave;
       f.shift[j] += w.offset_m + w.amplitude_m * wave;
     }
-    for (const TrackSpec& t : c.tracks) angles[joint(t.joint, "clip '" + c.name + "'")] += track_at(t, track_time);
+    for (const TrackSpec& t : c.tracks) angles[joint(t.joint, c.source)] += track_at(t, track_time);
     for (std::size_t j = 0; j < angles.size(); ++j) f.rotation[j] = from_degrees(angles[j]);
     for (std::size_t i = 0; i < legs_.size(); ++i) {
       const Step step = c.gait ? gait_step(*c.gait, c.gait->phases[i], cycle) : Step{};
@@ -215,7 +214,6 @@ class ClipBuilder {
     return f;
   }
 
-  const QuadrupedSpec& spec_;
   const Rig& rig_;
   Skeleton skeleton_;
   Frame rest_;
@@ -224,11 +222,23 @@ class ClipBuilder {
 
 }  // namespace
 
-std::vector<Clip> build_clips(const QuadrupedSpec& spec, const Rig& rig) {
-  ClipBuilder builder(spec, rig);
-  std::vector<Clip> clips;
-  for (const ClipSpec& c : spec.clips) clips.push_back(builder.build(c));
-  return clips;
+std::vector<Clip> build_clips(const std::string& legs_source, const std::vector<LegSpec>& legs,
+                              const std::vector<ClipSpec>& clips, const Rig& rig) {
+  ClipBuilder builder(legs_source, legs, rig);
+  std::vector<Clip> built;
+  for (const ClipSpec& c : clips) built.push_back(builder.build(c));
+  return built;
+}
+
+std::string mirror_name(const std::string& name) {
+  std::string result = name;
+  if (const auto at = result.find("left"); at != std::string::npos) return result.replace(at, 4, "right");
+  if (const auto at = result.find("right"); at != std::string::npos) return result.replace(at, 5, "left");
+  if (result.ends_with("_l"))
+    result.back() = 'r';
+  else if (result.ends_with("_r"))
+    result.back() = 'l';
+  return result;
 }
 
 }  // namespace moomill
