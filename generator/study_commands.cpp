@@ -25,16 +25,6 @@ int finish_study(const StudyResult& result, const std::string& folder) {
   return missed > 0 ? 1 : 0;
 }
 
-int run_rig_deform(const std::string& file, const SceneOptions& options, const std::string& folder) {
-  SceneSpec scene = read_scene(file);
-  apply_overrides(scene, parse_overrides(options));
-  const Species species = read_species(scene.animals[0].species, scene.normalization, fs::path(scene.file).parent_path());
-  std::vector<Pose> poses;
-  for (const int frame : scene.frames)
-    poses.push_back(pose_of_frame(scene, scene.animals[0], species, frame - scene.first_frame));
-  return finish_study(study_deformation(species, poses, scene.frames.front()), folder);
-}
-
 int run_rig_compare(const CompareCommand& command) {
   const SilhouetteReference reference = read_silhouette_reference(find_file(command.reference, {}));
   const SilhouetteMesh mesh = load_silhouette_reference(reference);
@@ -44,6 +34,16 @@ int run_rig_compare(const CompareCommand& command) {
   const std::vector<std::uint8_t> png = encode_png8(silhouette_sheet(fit, result.title));
   write_file_atomically(std::filesystem::path(command.out) / "silhouettes.png", png.data(), png.size());
   return finish_study(result, command.out);
+}
+
+int run_rig_deform(const std::string& file, const SceneOptions& options, const std::string& folder) {
+  SceneSpec scene = read_scene(file);
+  apply_overrides(scene, parse_overrides(options));
+  const Species species = read_species(scene.animals[0].species, scene.normalization, fs::path(scene.file).parent_path());
+  std::vector<Pose> poses;
+  for (const int frame : scene.frames)
+    poses.push_back(pose_of_frame(scene, scene.animals[0], species, frame - scene.first_frame));
+  return finish_study(study_deformation(species, poses, scene.frames.front()), folder);
 }
 
 }  // namespace moomill

@@ -4,6 +4,7 @@
 #include <bit>
 #include <cmath>
 #include <numeric>
+#include <queue>
 #include <tuple>
 #include <unordered_map>
 
@@ -357,6 +358,100 @@ MeshChecks check_mesh(const std::vector<vec3>& positions, const std::vector<uvec
   found.genus = static_cast<double>(found.components) - 0.5 * euler;
   if (intersections) find_intersections(positions, triangles, placed, found);
   return found;
+}
+
+std::vector<Ring> find_rings(const std::vector<vec3>& positions, const std::vector<uvec3>& triangles,
+                             const std::vector<std::uint32_t>& place) {
+  if (triangles.empty()) return {};
+  const std::size_t places = *std::max_element(place.begin(), place.end()) + std::size_t{1};
+  std::vector<dvec3> at(places);
+  for (std::size_t i = 0; i < positions.size(); ++i) at[place[i]] = dvec3(positions[i]);
+  struct Edge {
+    Index a, b, left, right;
+  };
+  std::vector<Edge> edges;
+  std::vector<std::vector<Index>> around(places);  // edges at each vertex
+  std::unordered_map<std::uint64_t, Index> known;
+  known.reserve(2 * triangles.size());
+  for (Index t = 0; t < triangles.size(); ++t)
+    for (int k = 0; k < 3; ++k) {
+      const Index a = place[triangles[t][k]], b = place[triangles[t][(k + 1) % 3]];
+      const std::uint64_t key = (static_cast<std::uint64_t>(std::min(a, b)) << 32) | std::max(a, b);
+      const auto [entry, fresh] = known.try_emplace(key, static_cast<Index>(edges.size()));
+      if (!fresh) {
+        edges[entry->second].right = t;
+        continue;
+      }
+      edges.push_back({a, b, t, t});
+      around[a].push_back(entry->second), around[b].push_back(entry->second);
+    }
+  const auto length = [&](const Edge& e) { return glm::length(at[e.a] - at[e.b]); };
+
+  // The rings that paths from `root` leave over, as their vertices.
+  const auto rings_from = [&](Index root) {
+    std::vector<double> far(places, std::numeric_limits<double>::infinity());
+    std::vector<Index> back(places, none);  // edge towards the root
+    std::priority_queue<std::pair<double, Index>, std::vector<std::pair<double, Index>>, std::greater<>> queue;
+    queue.emplace(far[root] = 0, root);
+    while (!queue.empty()) {
+      const auto [d, v] = queue.top();
+      queue.pop();
+      if (d > far[v]) continue;
+      for (const Index e : around[v]) {
+        const Index u = edges[e].a + edges[e].b - v;
+        const double next = d + length(edges[e]);
+        if (next < far[u]) back[u] = e, queue.emplace(far[u] = next, u);
+      }
+    }
+    std::vector<std::pair<double, Index>> order;  // edges off the tree, longest detour first
+    for (Index e = 0; e < edges.size(); ++e)
+      if (back[edges[e].a] != e && back[edges[e].b] != e && std::isfinite(far[edges[e].a]))
+        order.emplace_back(-(far[edges[e].a] + far[edges[e].b] + length(edges[e])), e);
+    std::sort(order.begin(), order.end());
+    Sets faces(triangles.size());
+    std::vector<std::vector<Index>> rings;
+    for (const auto& [unused, e] : order) {
+      if (faces.find(edges[e].left) != faces.find(edges[e].right)) {
+        faces.join(edges[e].left, edges[e].right);
+        continue;
+      }
+      // Both ways back to the root, without what they share.
+      const auto way = [&](Index v) {
+        std::vector<Index> path{v};
+        while (v != root) path.push_back(v = edges[back[v]].a + edges[back[v]].b - v);
+        return path;
+      };
+      std::vector<Index> one = way(edges[e].a), other = way(edges[e].b);
+      Index last = root;
+      while (!one.empty() && !other.empty() && one.back() == other.back())
+        last = one.back(), one.pop_back(), other.pop_back();
+      one.push_back(last);
+      one.insert(one.end(), other.rbegin(), other.rend());
+      rings.push_back(std::move(one));
+    }
+    return rings;
+  };
+  const auto measure = [&](const std::vector<Index>& vertices) {
+    Ring ring;
+    for (std::size_t i = 0; i < vertices.size(); ++i) {
+      const dvec3 a = at[vertices[i]], b = at[vertices[(i + 1) % vertices.size()]];
+      ring.length += glm::length(a - b);
+      ring.centre += glm::length(a - b) * 0.5 * (a + b);
+    }
+    ring.centre /= ring.length > 0 ? ring.length : 1;
+    return ring;
+  };
+  std::vector<Ring> result;
+  for (const std::vector<Index>& vertices : rings_from(place[triangles[0].x])) {
+    Ring best = measure(vertices);
+    for (const std::vector<Index>& again : rings_from(vertices[0]))
+      if (std::find(again.begin(), again.end(), vertices[0]) != again.end())
+        if (const Ring ring = measure(again); ring.length < best.length) best = ring;
+    result.push_back(best);
+    if (result.size() == 64) break;  // enough to mend
+  }
+  std::sort(result.begin(), result.end(), [](const Ring& a, const Ring& b) { return a.length < b.length; });
+  return result;
 }
 
 AtlasChecks check_atlas(const Surface& s, int resolution) {

@@ -46,6 +46,18 @@ inline MeshChecks check_mesh(const Surface& s, bool intersections = true) {
   return check_mesh(s.rest, s.triangles, weld(s.rest), intersections);
 }
 
+// A ring on the surface that bounds no piece of it: there is a handle.
+struct Ring {
+  dvec3 centre{0};    // metres
+  double length = 0;  // metres around
+};
+
+// The rings of a closed, two-manifold mesh, two for each handle (one around it, one through its hole), shortest
+// first: those that the shortest paths from one vertex leave over (Erickson and Whittlesey 2005), each replaced by the
+// shortest through its first vertex. For a message that says where.
+std::vector<Ring> find_rings(const std::vector<vec3>& positions, const std::vector<uvec3>& triangles,
+                             const std::vector<std::uint32_t>& place);
+
 struct AtlasChecks {
   std::size_t outside = 0;   // vertices off the unit square
   std::size_t flat = 0;      // triangles without area in the atlas

@@ -50,6 +50,35 @@ class Body {
     return {at, unit(f.gradient(at))};
   }
 
+  // The same on the middle plane.
+  Skin skin_in_middle(const PartSpec& part, const dvec3& near) {
+    const Field& f = field();
+    const dvec3 at = f.project({near.x, 0, near.z}, 40, true);
+    if (std::abs(f.distance(at)) > 1e-3)
+      input_error("{}: part '{}' finds no skin near ({:.3f}, 0, {:.3f}); mend its offset", spec_.source, part.name,
+                  near.x, near.z);
+    dvec3 n = f.gradient(at);
+    n.y = 0;
+    return {at, unit(n)};
+  }
+
+  // Where a ray from inside leaves the body.
+  dvec3 way_out(const PartSpec& part, const dvec3& from, const dvec3& direction) {
+    const Field& f = field();
+    double inside = -1;
+    for (double t = 0; t < 1; t += 0.004) {
+      const dvec3 p = from + direction * t;
+      if (f.distance(p) < 0)
+        inside = t;
+      else if (inside >= 0)
+        break;
+    }
+    if (inside < 0)
+      input_error("{}: part '{}' starts outside the body at ({:.3f}, {:.3f}, {:.3f}); move its joints into it",
+                  spec_.source, part.name, from.x, from.y, from.z);
+    return f.project(from + direction * inside, 10, std::abs(from.y) < 1e-9 && std::abs(direction.y) < 1e-9);
+  }
+
   void add(Solid solid) {
     spec_.solids.push_back(std::move(solid));
     field_.reset();
@@ -132,10 +161,10 @@ void expand(const EyePart& e, const PartSpec& part, Body& body) {
   body.add(ellipsoid(lid, at - n * sunk, along, n, {1.34 * a, sunk + e.bulge, 1.55 * b}));
   const Look slot{part.name + " slot", "", part.joint, 0.0035, body.detail(0.09 * e.length)};
   Solid cut = solid(slot, above, Solid::Kind::carve);
-  const double floor = 0.30 * e.length;
-  for (const double depth : {floor - e.bulge, 0.0, -2 * e.bulge})
-    section(cut, slot, at - n * depth, a * (depth < 0 ? 1.15 : 1.0), b * (depth < 0 ? 1.2 : 1.0),
-            b * (depth < 0 ? 1.2 : 1.0));
+  for (const double t : {0.0, 0.5, 1.0}) {  // from the floor of the slot to well outside, a little wider there
+    const double out = e.bulge - 0.30 * e.length + t * (0.30 * e.length + e.bulge), wide = 1 + 0.15 * t * t;
+    section(cut, slot, at + n * out, a * wide, b * wide, b * wide);
+  }
   cut.cap_start = 0.002, cut.cap_end = 0.02;
   body.add(cut);
   const Look ball{part.name, "eye_l", part.joint, 0.002, body.detail(0.09 * e.length)};
@@ -270,6 +299,220 @@ void expand(const DewclawPart& d, const PartSpec& part, Body& body) {
     section(s, look, from + down * (0.45 * d.size), 0.30 * d.size, 0.30 * d.size, 0.30 * d.size);
     s.cap_start = 0.35 * d.size, s.cap_end = 0.25 * d.size;
     body.add(s);
+  }
+}
+
+void expand(const MouthPart& m, const PartSpec& part, Body& body) {
+  const double slant = m.slant_deg * degrees;
+  const dvec3 back(-std::cos(slant), 0, std::sin(slant)), above(std::sin(slant), 0, std::cos(slant));
+  const dvec3 front = body.skin_in_middle(part, body.joint(part, part.joint).at + part.offset).at;
+  const Look look{part.name, "", part.joint, 0.003, body.detail(0.0045)};
+  Solid cut = solid(look, above, Solid::Kind::carve);
+  for (const double t : {0.02, 0.12, 0.35, 0.68, 1.0}) {
+    const dvec3 near = front + back * (m.length * t) + dvec3(0, 0.5 * m.width * std::sqrt(t), 0);
+    const double gape = 0.5 * m.gape * (1 - 0.4 * t);
+    section(cut, look, body.skin(part, near).at, m.depth * (1 - 0.5 * t), gape, gape);
+  }
+  cut.cap_start = 0.01, cut.cap_end = 0.004;
+  body.add(cut);
+}
+
+void expand(const HornPart& h, const PartSpec& part, Body& body) {
+  const QuadrupedJoint& joint = body.joint(part, part.joint);
+  const auto [root, n] = body.skin(part, joint.at + part.offset);
+  const std::string name = !part.part.empty() ? part.part : h.knob > 0 ? "ossicone_l" : "horn_l";
+  const Look look{part.name, name, part.joint, 0.5 * h.thickness, body.detail(std::max(0.006, 0.22 * h.thickness))};
+  const double forward = h.forward_deg * degrees;
+  const dvec3 level(std::sin(forward), std::cos(forward), 0);
+  const dvec3 across = glm::cross(level, dvec3(0, 0, 1));  // the bend is in the plane square to it
+  Solid s = solid(look, across);
+  dvec3 at = root;
+  constexpr int steps = 6;
+  for (int i = 0; i <= steps; ++i) {
+    const double t = static_cast<double>(i) / steps, elevation = (h.set_deg + h.curve_deg * t) * degrees;
+    const dvec3 d = std::cos(elevation) * level + std::sin(elevation) * dvec3(0, 0, 1);
+    if (i == 0) section(s, look, at - d * (0.4 * h.thickness), 0.5 * h.thickness, 0.5 * h.thickness, 0.5 * h.thickness);
+    const double taper = h.knob > 0 ? t : t * t * (2 - t);  // horns keep their strength, then point
+    const double r = 0.5 * h.thickness * (1 + (h.tip - 1) * taper);
+    section(s, look, at, r, r, r);
+    at += d * (h.length / steps);
+  }
+  const dvec3 end = s.sections.back().at;
+  s.cap_start = 0.3 * h.thickness;
+  s.cap_end = std::max(0.5 * h.tip * h.thickness, 0.004);
+  body.add(s);
+  if (h.knob > 0) {
+    const Look knob{part.name + " knob", name, part.joint, 0.6 * h.knob, look.detail};
+    const dvec3 axis = unit(end - s.sections[s.sections.size() - 2].at);
+    body.add(ellipsoid(knob, end, axis, across, {0.45 * h.knob, 0.5 * h.knob, 0.5 * h.knob}));
+  }
+}
+
+void expand(const BonePart& b, const PartSpec& part, Body& body) {
+  const auto [at, n] = body.skin(part, body.joint(part, part.joint).at + part.offset);
+  const Look look{part.name, part.part.empty() ? "torso" : part.part, part.joint, b.blend, body.detail(0.35 * b.size),
+                  part.offset.y != 0 || body.joint(part, part.joint).mirror};
+  const double r = 0.5 * b.size;
+  const dvec3 along = square_to({1, 0, 0}, n, {0, 0, 1});
+  // The union lifts its surface by a quarter of the blend where both meet at depth 0; take that off.
+  body.add(ellipsoid(look, at + n * (b.out - r - 0.2 * b.blend), along, n, {1.2 * r, r, r}));
+}
+
+void expand(const DewlapPart& d, const PartSpec& part, Body& body) {
+  const dvec3 from = body.joint(part, part.joint).at + part.offset, to = body.joint(part, d.to_joint).at + d.to_offset;
+  const Look look{part.name, part.part.empty() ? "neck" : part.part, part.joint, d.thickness,
+                  body.detail(std::max(0.012, 0.5 * d.thickness)), false};
+  Solid s = solid(look, {1, 0, -0.4});
+  constexpr int steps = 6;
+  for (int i = 0; i <= steps; ++i) {
+    const double t = static_cast<double>(i) / steps, full = 0.35 + 0.65 * std::sin(pi * std::pow(t, 0.7));
+    const auto [at, n] = body.skin_in_middle(part, glm::mix(from, to, t));
+    section(s, look, at, 0.5 * d.thickness, std::max(0.01, d.depth * full), 0.03);
+    if (i == steps / 2) s.sections.back().joint = d.to_joint;
+  }
+  s.cap_start = s.cap_end = 0.5 * d.thickness;
+  body.add(s);
+}
+
+void expand(const UdderPart& u, const PartSpec& part, Body& body) {
+  const auto [at, n] = body.skin_in_middle(part, body.joint(part, part.joint).at + part.offset);
+  const std::string name = part.part.empty() ? "udder" : part.part;
+  const Look half{part.name, name, part.joint, 0.05, body.detail(0.022)};
+  const double y = 0.22 * u.width;
+  body.add(ellipsoid(half, at + dvec3(0, y, 0.1 * u.depth), {1, 0, 0}, {0, 0, 1}, {0.5 * u.length, 1.1 * u.depth, 0.28 * u.width}));
+  if (u.teats == 0) return;
+  const Look look{part.name + " teat", name, part.joint, 0.3 * u.teat, body.detail(std::max(0.006, 0.16 * u.teat))};
+  for (const double x : u.teats == 4 ? std::vector<double>{0.22, -0.2} : std::vector<double>{0}) {
+    const dvec3 root = body.way_out(part, at + dvec3(x * u.length, y, 0), {0, 0, -1});
+    Solid s = solid(look, {1, 0, 0});
+    section(s, look, root + dvec3(0, 0, 0.25 * u.teat), 0.24 * u.teat, 0.24 * u.teat, 0.24 * u.teat);
+    section(s, look, root - dvec3(0, -0.1 * u.teat, 0.82 * u.teat), 0.18 * u.teat, 0.18 * u.teat, 0.18 * u.teat);
+    s.cap_start = s.cap_end = 0.18 * u.teat;
+    body.add(s);
+  }
+}
+
+// A curve through joints; `owner` is the joint that moves a place.
+struct Track {
+  std::vector<dvec3> at;
+  std::vector<std::string> joints;
+  double length = 0;
+
+  dvec3 place(double t) const {  // t in [0, 1] by length
+    double left = t * length;
+    for (std::size_t i = 0; i + 1 < at.size(); ++i) {
+      const double l = glm::length(at[i + 1] - at[i]);
+      if (left <= l || i + 2 == at.size()) return at[i] + (at[i + 1] - at[i]) * (left / l);
+      left -= l;
+    }
+    return at.back();
+  }
+  const std::string& owner(double t, bool end_too) const {
+    double left = t * length;
+    for (std::size_t i = 0; i + 1 < at.size(); ++i) {
+      const double l = glm::length(at[i + 1] - at[i]);
+      if (left < l - 1e-9) return joints[i];
+      left -= l;
+    }
+    return joints[joints.size() - (end_too ? 1 : 2)];
+  }
+};
+
+Track track(const PartSpec& part, const std::vector<std::string>& joints, const Body& body) {
+  if (joints.size() < 2) input_error("part '{}' needs at least two joints in 'along'", part.name);
+  Track t;
+  t.joints = joints;
+  for (const std::string& j : joints) {
+    t.at.push_back(body.joint(part, j).at + part.offset);
+    if (t.at.size() > 1) t.length += glm::length(t.at.back() - t.at[t.at.size() - 2]);
+  }
+  return t;
+}
+
+void expand(const TailPart& p, const PartSpec& part, Body& body) {
+  const Track line = track(part, p.along, body);
+  const std::string name = part.part.empty() ? "tail" : part.part;
+  const Look look{part.name, name, body.joint(part, p.along[0]).parent, 0.5 * p.thickness,
+                  body.detail(std::max(0.009, 0.35 * p.tip)), false};
+  Solid s = solid(look, {0, 1, 0});
+  const dvec3 into = unit(line.at[0] - line.at[1]);
+  const double r0 = 0.5 * p.thickness;
+  section(s, look, line.at[0] + dvec3(0.8 * p.thickness, 0, 0) + into * (0.2 * p.thickness), 1.1 * r0, 1.1 * r0, 1.1 * r0);
+  constexpr int steps = 14;
+  for (int i = 0; i <= steps; ++i) {
+    const double t = static_cast<double>(i) / steps;
+    double r = r0 + (0.5 * p.tip - r0) * std::pow(t, 0.6);
+    if (t > p.hair_from) {  // swells soon, stays, and thins to an end that is not a point
+      const double f = (t - p.hair_from) / (1 - p.hair_from);
+      const double full = std::sin(0.5 * pi * std::min(1.0, f / 0.35)) * (f > 0.55 ? 1 - 0.78 * std::pow((f - 0.55) / 0.45, 1.5) : 1);
+      r = std::max(r * (1 - f), 0.5 * p.hair * full);
+      r = std::max(r, 0.35 * p.tip);
+    }
+    section(s, look, line.place(t), 1.1 * r, 0.9 * r, 0.9 * r);
+    s.sections.back().joint = line.owner(t, false);
+    s.sections.back().part = t > p.hair_from ? name + "_switch" : name;
+  }
+  s.cap_start = r0, s.cap_end = s.sections.back().side;
+  body.add(s);
+}
+
+void expand(const ManePart& m, const PartSpec& part, Body& body) {
+  const Track line = track(part, m.along, body);
+  const std::string name = part.part.empty() ? "mane" : part.part;
+  const int steps = std::max(8, static_cast<int>(line.length / 0.07));
+  const double edge = body.detail(std::max(0.010, 0.4 * m.thickness));
+  const Look ridge{part.name, name, m.along[0], 0.6 * m.thickness, edge, false};
+  // From the first crest to the last, square to the chord between them: crest points keep their order in any bend.
+  const dvec3 last = unit(line.at.back() - line.at[line.at.size() - 2]);
+  const dvec3 a = body.way_out(part, line.at[0], {0, 0, 1});
+  const dvec3 b = body.way_out(part, line.at.back(), unit(dvec3(-last.z, 0, last.x)));
+  const dvec3 chord = unit(b - a), up(-chord.z, 0, chord.x);
+  std::vector<dvec3> crest;
+  for (int i = 0; i <= steps; ++i)
+    crest.push_back(body.way_out(part, glm::mix(a, b, static_cast<double>(i) / steps) - up * (0.12 * glm::length(b - a)), up));
+  Solid s = solid(ridge, up);
+  for (int i = 0; i <= steps; ++i) {
+    const double t = static_cast<double>(i) / steps;
+    const double high = m.height * std::min({1.0, 0.35 + 5 * t, 0.45 + 5 * (1 - t)});
+    section(s, ridge, crest[i], 0.5 * m.thickness, high, 0.6 * m.thickness);
+    s.sections.back().joint = line.owner(t, true);
+  }
+  s.cap_start = s.cap_end = m.thickness;
+  body.add(s);
+  if (m.fall > 0) {  // sheets of hair down both sides, in locks of uneven length
+    const Look sheet{part.name + " fall", name, m.along[0], 0.006, edge};
+    const double thick = std::max(0.5 * m.thickness, 0.9 * body.grid());
+    std::vector<dvec3> at;
+    std::vector<double> lock, when;
+    dvec3 outward(0);
+    for (int i = 1; i < steps; ++i) {
+      const double t = static_cast<double>(i) / steps;
+      const double uneven = 0.9 + 0.13 * std::sin(17 * t) + 0.09 * std::sin(41 * t + 1);
+      when.push_back(t);
+      lock.push_back(m.fall * uneven * std::min({1.0, 0.3 + 3.5 * t, 0.5 + 3 * (1 - t)}));
+      const Body::Skin skin = body.skin(part, crest[i] - up * (0.5 * lock.back()) + dvec3(0, 0.5 * m.fall, 0));
+      at.push_back(skin.at);
+      outward += skin.normal;
+    }
+    Solid hair = solid(sheet, unit(outward));
+    for (std::size_t i = 0; i < at.size(); ++i) {
+      section(hair, sheet, at[i], 0.55 * lock[i], 0.6 * thick, 0.8 * thick, 2.4);
+      hair.sections.back().joint = line.owner(when[i], true);
+    }
+    hair.cap_start = hair.cap_end = 0.12 * m.fall;
+    body.add(hair);
+  }
+  if (m.forelock > 0) {
+    const Look look{part.name + " forelock", name, m.along.back(), 0.008, edge, false};
+    const dvec3 top = crest.back() + up * (0.3 * m.height);
+    Solid lock = solid(look, up);
+    const dvec3 down = unit(dvec3(up.z, 0, -up.x) - 0.8 * up);
+    for (const double t : {0.0, 0.3, 0.65, 1.0}) {
+      const Body::Skin at = body.skin_in_middle(part, top + down * (0.03 + m.forelock * t));
+      section(lock, look, at.at + at.normal * 0.002, m.thickness * (t < 0.5 ? 1.1 : 1.6 - t), 0.5 * m.thickness * (1.2 - 0.6 * t), 0.02);
+    }
+    lock.cap_start = lock.cap_end = 0.5 * m.thickness;
+    body.add(lock);
   }
 }
 

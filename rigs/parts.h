@@ -57,12 +57,67 @@ struct DewclawPart {
   double spacing = 0.046;  // metres from one to the other
 };
 
+// The line between the lips, cut from the front of the muzzle to the corners. Part: as the skin it cuts.
+struct MouthPart {
+  double length = 0.12, width = 0.10;  // metres: from the front to the corners; from corner to corner
+  double slant_deg = 45;               // how steeply it rises backwards
+  double gape = 0.006, depth = 0.008;  // metres
+};
+
+// A horn, or with a knob an ossicone. Part: horn_l, ossicone_l.
+struct HornPart {
+  double length = 0.16, thickness = 0.045;  // metres along its bend; diameter at the base
+  double set_deg = 20, forward_deg = 10;    // where its base points: above level, ahead of sideways
+  double curve_deg = 50;                    // by how much it turns upwards along its length
+  double tip = 0.3;                         // thickness at the tip, share of the base's
+  double knob = 0;                          // metres, diameter of the knob at its end; 0 for none
+};
+
+// A bone under the skin: hook, pin, point of the shoulder, wither. Part: torso.
+struct BonePart {
+  double size = 0.08;     // metres across
+  double out = 0.02;      // metres it stands out of the skin
+  double blend = 0.09;    // metres over which it fades
+};
+
+// A fold of skin hanging below the neck, from the part's joint and offset to another. Part: neck.
+struct DewlapPart {
+  std::string to_joint;
+  dvec3 to_offset{0};
+  double depth = 0.08, thickness = 0.035;  // metres
+};
+
+// Hangs from the belly below its joint. Part: udder.
+struct UdderPart {
+  double length = 0.34, width = 0.30, depth = 0.20;  // metres
+  int teats = 4;                                     // 4, 2 (abreast) or 0
+  double teat = 0.055;                               // metres long
+};
+
+// Along joints from the dock to the tip. Parts: tail, and tail_switch where there is hair.
+struct TailPart {
+  std::vector<std::string> along;          // joints; the last is the tip
+  double thickness = 0.07, tip = 0.03;     // metres, diameter of the dock and of its end
+  double hair_from = 0.7;                  // share of the length where the hair begins; 1 for none
+  double hair = 0.07;                      // metres, diameter of the hair where it is fullest
+};
+
+// Hair along the crest of the neck, between joints: upright, or falling to both sides. Part: mane.
+struct ManePart {
+  std::vector<std::string> along;            // joints, from the withers to the poll
+  double height = 0.05, thickness = 0.035;   // metres
+  double fall = 0;                           // metres it hangs down the neck's sides
+  double forelock = 0;                       // metres it hangs down the forehead
+};
+
 struct PartSpec {
   std::string name;   // for messages
   std::string joint;  // what it moves with
   dvec3 offset{0};    // metres from the joint
   std::string part;   // body part it belongs to; empty: that of its kind
-  std::variant<EyePart, EarPart, NostrilPart, HoofPart, DewclawPart> kind;
+  std::variant<EyePart, EarPart, NostrilPart, HoofPart, DewclawPart, MouthPart, HornPart, BonePart, DewlapPart,
+               UdderPart, TailPart, ManePart>
+      kind;
 };
 
 // The solids of `parts` on `body`, in order, to be put behind the body's own. Pure; `body` gives joints, the skin to

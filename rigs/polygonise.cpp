@@ -9,7 +9,8 @@
 namespace moomill {
 namespace {
 
-constexpr int block = 4;  // lattice cells along a side of a block
+constexpr int block = 2;         // lattice cells along a side of a block
+constexpr int large_block = 16;  // and of those looked at first; a power of two times `block`
 
 struct Lattice {
   dvec3 origin{0};
@@ -43,7 +44,7 @@ Lattice sample_lattice(const Field& field, double grid, Blocks& blocks) {
   lattice.step = grid;
   lattice.origin = dvec3(field.box.lower.x, 0, field.box.lower.z);
   const dvec3 size = field.box.upper - lattice.origin;
-  const auto count = [&](double length) { return (static_cast<int>(length / (grid * block)) + 1) * block + 1; };
+  const auto count = [&](double length) { return (static_cast<int>(length / (grid * large_block)) + 1) * large_block + 1; };
   lattice.nx = count(size.x), lattice.ny = count(size.y), lattice.nz = count(size.z);
   lattice.values.assign(static_cast<std::size_t>(lattice.nx) * lattice.ny * lattice.nz, std::nanf(""));
   blocks.nx = (lattice.nx - 1) / block, blocks.ny = (lattice.ny - 1) / block, blocks.nz = (lattice.nz - 1) / block;
@@ -54,13 +55,28 @@ Lattice sample_lattice(const Field& field, double grid, Blocks& blocks) {
               z = static_cast<int>(b / blocks.nx / blocks.ny);
     return std::array<int, 3>{x, y, z};
   };
-  // The field is about metric; more than the half diagonal leaves room for what "about" means.
-  const double reach = 1.6 * 0.5 * std::sqrt(3.0) * block * grid;
-  parallel_for(n, 16, [&](std::size_t b) {
-    const auto [x, y, z] = corner(b);
-    const double half = 0.5 * block;
-    const dvec3 centre = lattice.origin + grid * dvec3(x * block + half, y * block + half, z * block + half);
-    blocks.active[b] = std::abs(field.distance(centre)) < reach;
+  // From large blocks to small ones, wherever the surface may pass. The field is about metric; more than the half
+  // diagonal leaves room for what "about" means.
+  const auto may_pass = [&](const std::array<int, 3>& first, int side) {
+    const double half = 0.5 * side, reach = 1.6 * std::sqrt(3.0) * half * grid;
+    const dvec3 centre = lattice.origin + grid * (dvec3(first[0], first[1], first[2]) + half);
+    return std::abs(field.distance(centre)) < reach;
+  };
+  const auto descend = [&](auto& self, const std::array<int, 3>& first, int side) -> void {
+    if (!may_pass(first, side)) return;
+    if (side == block) {
+      blocks.active[blocks.index(first[0] / block, first[1] / block, first[2] / block)] = 1;
+      return;
+    }
+    for (int k = 0; k < 8; ++k)
+      self(self, {first[0] + (k & 1) * side / 2, first[1] + (k >> 1 & 1) * side / 2, first[2] + (k >> 2) * side / 2},
+           side / 2);
+  };
+  const int lx = (lattice.nx - 1) / large_block, ly = (lattice.ny - 1) / large_block,
+            lz = (lattice.nz - 1) / large_block;
+  parallel_for(static_cast<std::size_t>(lx) * ly * lz, 1, [&](std::size_t b) {
+    const int x = static_cast<int>(b % lx), y = static_cast<int>(b / lx % ly), z = static_cast<int>(b / lx / ly);
+    descend(descend, {x * large_block, y * large_block, z * large_block}, large_block);
   });
   // Every point is sampled once, by the block it is the lower part of, also when only a lower neighbour is active.
   parallel_for(n, 16, [&](std::size_t b) {

@@ -168,7 +168,7 @@ Rig build_quadruped(const QuadrupedSpec& spec) {
 
   const Field field = build_field(spec, names, rig.part_names);
   HalfMesh half = polygonise(field, spec.grid);
-  remesh(half, field, spec.target_edge, 6);
+  remesh(half, field, spec.target_edge, 8);
   check_one_body(spec, half);
   const std::vector<double> weights = skin_weights(half, field, twin);
 
@@ -192,7 +192,7 @@ Rig build_quadruped(const QuadrupedSpec& spec) {
     charts.push_back(charts[c]);
     for (dvec2& p : charts.back().flat) p.x = -p.x;
   }
-  pack_charts(charts, spec.gutter);
+  pack_charts(charts, half.triangles, spec.gutter);
 
   // Vertices chart by chart: a vertex on a seam occurs once in every chart that touches it.
   Surface& s = rig.surface;

@@ -154,7 +154,8 @@ bool collapse_edge(Work& w, Index a, Index b, std::vector<Index>& na, std::vecto
       return false;  // would join two border vertices by an inner edge
     }
   }
-  if (common != s.count || w.around[a].size() + w.around[b].size() < 8) return false;
+  const std::size_t least = s.count == 1 ? 5 : 8;  // leaves three triangles around a border vertex, four around another
+  if (common != s.count || w.around[a].size() + w.around[b].size() < least) return false;
   for (int i = 0; i < s.count; ++i)
     if (w.around[s.opposite[i]].size() < (w.border[s.opposite[i]] ? 3u : 5u)) return false;
   dvec3 p = w.position[a];
@@ -234,7 +235,7 @@ void flip_edges(Work& w) {
 
 // Moves every vertex to the centre of its neighbours along the surface, all at once. Border vertices see their
 // neighbours' mirror images too, so they keep to y = 0.
-void relax(Work& w, const Field& field) {
+void relax(Work& w, const Field& field, int steps) {
   std::vector<dvec3> moved(w.position);
   parallel_for(w.position.size(), 256, [&](std::size_t i) {
     if (w.around[i].empty()) return;  // collapsed away
@@ -252,16 +253,61 @@ void relax(Work& w, const Field& field) {
     if (w.border[i]) step.y = 0, normal.y = 0;
     const double length = glm::length(normal);
     if (length > 0) step -= normal * (glm::dot(step, normal) / (length * length));
-    const dvec3 p = field.project(w.position[i] + 0.7 * step, 3, w.border[i]);
+    const dvec3 p = field.project(w.position[i] + 0.7 * step, steps, w.border[i]);
     // Near a crease the projection may jump to another sheet; then the vertex stays.
     if (glm::length(p - w.position[i]) < w.size[i] && (w.border[i] || p.y > 1e-4)) moved[i] = p;
   });
   w.position = std::move(moved);
 }
 
-void refresh_sizes(Work& w, const Field& field, double target_edge) {
-  parallel_for(w.position.size(), 256,
-               [&](std::size_t i) { w.size[i] = target_edge * field.sample(w.position[i]).detail; });
+// What edges at a point may be at most, in shares of the target, for a surface bent with `curvature` (1 / radius): a
+// chord's sagitta grows with length^2 / radius, so lengths go with the square root of the radius. Flatter than
+// `full_radius` nothing is asked; creases are not followed to the end.
+constexpr double full_radius = 0.045, finest_share = 0.3;  // metres; share of the target edge
+double share_for(double curvature) {
+  return std::clamp(std::sqrt(1 / std::max(curvature * full_radius, 1e-9)), finest_share, 1.0);
+}
+
+// Largest normal curvature of the field along the edges around each vertex.
+std::vector<double> curvatures(const Work& w, const Field& field) {
+  const std::size_t n = w.position.size();
+  std::vector<dvec3> normal(n);
+  std::vector<double> bend(n, 0.0), even(n, 0.0);
+  parallel_for(n, 64, [&](std::size_t i) {
+    if (w.around[i].empty()) return;
+    dvec3 g = field.gradient(w.position[i]);
+    if (w.border[i]) g.y = 0;
+    const double length = glm::length(g);
+    if (length > 0) normal[i] = g / length;
+  });
+  const auto each = [&](auto body) {
+    parallel_for(n, 256, [&](std::size_t i) {
+      if (w.around[i].empty()) return;
+      std::vector<Index> near;
+      neighbours(w, static_cast<Index>(i), near);
+      body(i, near);
+    });
+  };
+  each([&](std::size_t i, const std::vector<Index>& near) {
+    for (const Index v : near) {
+      const dvec3 e = w.position[v] - w.position[i];
+      bend[i] = std::max(bend[i], std::abs(glm::dot(normal[v] - normal[i], e)) / std::max(glm::dot(e, e), 1e-12));
+    }
+  });
+  each([&](std::size_t i, const std::vector<Index>& near) {  // one vertex alone may be off
+    double sum = bend[i];
+    for (const Index v : near) sum += bend[v];
+    even[i] = sum / static_cast<double>(near.size() + 1);
+  });
+  return even;
+}
+
+void refresh_sizes(Work& w, const Field& field, double target_edge, bool bent) {
+  const std::vector<double> bend = bent ? curvatures(w, field) : std::vector<double>(w.position.size(), 0.0);
+  parallel_for(w.position.size(), 256, [&](std::size_t i) {
+    if (w.around[i].empty()) return;
+    w.size[i] = target_edge * std::min(field.sample(w.position[i]).detail, share_for(bend[i]));
+  });
   // Wanted lengths grow slowly away from fine parts, or their borders would be fans.
   for (int sweep = 0; sweep < 2; ++sweep)
     for (Index t = 0; t < w.triangle.size(); ++t) {
@@ -273,29 +319,22 @@ void refresh_sizes(Work& w, const Field& field, double target_edge) {
     }
 }
 
-}  // namespace
-
-void remesh(HalfMesh& mesh, const Field& field, double target_edge, int rounds) {
+Work work_on(std::vector<dvec3> positions, std::vector<std::uint8_t> border, std::vector<uvec3> triangles) {
   Work w;
-  w.position = std::move(mesh.positions);
-  w.border = std::move(mesh.on_midplane);
-  w.triangle = std::move(mesh.triangles);
+  w.position = std::move(positions);
+  w.border = std::move(border);
+  w.triangle = std::move(triangles);
   w.around.resize(w.position.size());
   w.size.resize(w.position.size());
   for (Index t = 0; t < w.triangle.size(); ++t)
     for (int k = 0; k < 3; ++k) w.around[w.triangle[t][k]].push_back(t);
-  for (int round = 0; round < rounds; ++round) {
-    refresh_sizes(w, field, target_edge);
-    split_long(w, field);
-    collapse_short(w);
-    flip_edges(w);
-    relax(w, field);
-  }
-  relax(w, field);
-  flip_edges(w);
+  return w;
+}
 
+// What is left of it, numbered afresh.
+HalfMesh compacted(const Work& w) {
   std::vector<Index> number(w.position.size(), gone);
-  mesh = {};
+  HalfMesh mesh;
   for (Index t = 0; t < w.triangle.size(); ++t) {
     if (w.dead(t)) continue;
     uvec3 triangle;
@@ -310,6 +349,28 @@ void remesh(HalfMesh& mesh, const Field& field, double target_edge, int rounds) 
     }
     mesh.triangles.push_back(triangle);
   }
+  return mesh;
+}
+
+}  // namespace
+
+void remesh(HalfMesh& mesh, const Field& field, double target_edge, int rounds) {
+  Work w = work_on(std::move(mesh.positions), std::move(mesh.on_midplane), std::move(mesh.triangles));
+  for (int round = 0; round < rounds; ++round) {
+    refresh_sizes(w, field, target_edge, round > 0);
+    split_long(w, field);
+    collapse_short(w);
+    if (round == 0) {  // most of the lattice's triangles are gone now
+      mesh = compacted(w);
+      w = work_on(std::move(mesh.positions), std::move(mesh.on_midplane), std::move(mesh.triangles));
+      refresh_sizes(w, field, target_edge, false);
+    }
+    flip_edges(w);
+    relax(w, field, 1);
+  }
+  relax(w, field, 3);
+  flip_edges(w);
+  mesh = compacted(w);
 }
 
 }  // namespace moomill

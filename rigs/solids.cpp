@@ -1,6 +1,7 @@
 #include "rigs/solids.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "generator/core/error.h"
@@ -8,7 +9,7 @@
 namespace moomill {
 namespace {
 
-constexpr int points_per_section = 5;
+constexpr int beyond = 4;  // entries of Shape::axis_x before the start and after the end of the axis
 
 // Slopes for cubic Hermite interpolation over uneven knots; `monotone` keeps radii from overshooting (the limiter of
 // Fritsch and Carlson, 1980).
@@ -33,6 +34,42 @@ double hermite(const std::vector<double>& knots, const std::vector<double>& valu
          (f3 - f2) * h * m1;
 }
 
+// Between the two points around s metres of the axis.
+Shape::Point axis_at(const Shape& shape, double s) {
+  const double x = std::clamp(s / shape.step, 0.0, static_cast<double>(shape.points.size() - 1));
+  const std::size_t k = std::min(static_cast<std::size_t>(x), shape.points.size() - 2);
+  const Shape::Point &a = shape.points[k], &b = shape.points[k + 1];
+  const double f = x - static_cast<double>(k);
+  const auto mix = [&](const auto& u, const auto& v) { return u + (v - u) * f; };
+  return {mix(a.at, b.at), mix(a.side_axis, b.side_axis), mix(a.up_axis, b.up_axis), mix(a.side, b.side),
+          mix(a.up, b.up), mix(a.down, b.down),           mix(a.power, b.power),     mix(a.along, b.along)};
+}
+
+// Metres along the axis of where p belongs; outside of [0, length] beyond an end. A soft nearest point: the mean of
+// all places, weighted by exp(-squared distance). Where the axis is straight this is the nearest point; where it bends
+// so much that the nearest point jumps from one place to another, the mean goes over smoothly, so the field has no
+// tears.
+double place_on_axis(const Shape& shape, const dvec3& p) {
+  constexpr std::size_t most = 64;
+  std::array<double, most> d2;
+  const std::size_t n = shape.axis_x.size();
+  double least = std::numeric_limits<double>::infinity();
+  for (std::size_t k = 0; k < n; ++k) {
+    const double x = shape.axis_x[k] - p.x, y = shape.axis_y[k] - p.y, z = shape.axis_z[k] - p.z;
+    d2[k] = x * x + y * y + z * z;
+    least = std::min(least, d2[k]);
+  }
+  const double scale = 1 / (2 * shape.stride * shape.stride);
+  double sum = 0, total = 0;
+  for (std::size_t k = 0; k < n; ++k) {
+    const double e = (d2[k] - least) * scale;
+    if (e > 12) continue;
+    const double w = std::exp(-e);
+    sum += w * static_cast<double>(k), total += w;
+  }
+  return (sum / total - beyond) * shape.stride;
+}
+
 void add_points(Shape& shape, const Solid& solid, const std::string& source) {
   const auto& sections = solid.sections;
   const std::size_t n = sections.size();
@@ -47,18 +84,25 @@ void add_points(Shape& shape, const Solid& solid, const std::string& source) {
                             z = column([](auto&s) { return s.at.z; }), side = column([](auto&s) { return s.side; }),
                             up = column([](auto&s) { return s.up; }), down = column([](auto&s) { return s.down; }),
                             power = column([](auto&s) { return s.power; });
-  const std::size_t count = n == 1 ? 1 : (n - 1) * points_per_section + 1;
-  for (std::size_t k = 0; k < count; ++k) {
+  const double length = knots.back();
+  double least = length;
+  for (std::size_t i = 1; i < n; ++i) least = std::min(least, knots[i] - knots[i - 1]);
+  const std::size_t count =
+      n == 1 ? 1 : std::clamp<std::size_t>(static_cast<std::size_t>(6 * length / least), 24, 512) + 1;
+  shape.step = n == 1 ? 0 : length / static_cast<double>(count - 1);
+  for (std::size_t k = 0, i = 0; k < count; ++k) {
     Shape::Point p{};
     if (n == 1) {
       p.at = sections[0].at;
       p.side = side[0], p.up = up[0], p.down = down[0], p.power = power[0];
     } else {
-      const std::size_t i = std::min(k / points_per_section, n - 2);
-      const double f = static_cast<double>(k - i * points_per_section) / points_per_section;
+      const double s = static_cast<double>(k) * shape.step;
+      while (i + 2 < n && s > knots[i + 1]) ++i;
+      const double f = std::clamp((s - knots[i]) / (knots[i + 1] - knots[i]), 0.0, 1.0);
       const auto at = [&](const std::vector<double>& v, bool monotone) { return hermite(knots, v, i, f, monotone); };
       p.at = {at(x, false), at(y, false), at(z, false)};
       p.side = at(side, true), p.up = at(up, true), p.down = at(down, true), p.power = at(power, true);
+      p.along = static_cast<double>(i) + f;
     }
     shape.points.push_back(p);
   }
@@ -77,6 +121,17 @@ void add_points(Shape& shape, const Solid& solid, const std::string& source) {
     shape.points[k].up_axis = glm::cross(axis, shape.points[k].side_axis);
     if (k == 0) shape.start_axis = -axis;
     if (k + 1 == count) shape.end_axis = axis;
+  }
+  if (n > 1) {
+    constexpr int strides = 40;
+    shape.stride = length / strides;
+    for (int k = -beyond; k <= strides + beyond; ++k) {
+      const double s = k * shape.stride;
+      const dvec3 at = axis_at(shape, s).at + (s < 0        ? -s * shape.start_axis
+                                               : s > length ? (s - length) * shape.end_axis
+                                                            : dvec3(0));
+      shape.axis_x.push_back(at.x), shape.axis_y.push_back(at.y), shape.axis_z.push_back(at.z);
+    }
   }
   for (const auto& p : shape.points) {
     const double reach = std::max({p.side, p.up, p.down, shape.cap_start, shape.cap_end}) * (p.power > 2 ? 1.42 : 1.0);
@@ -102,32 +157,26 @@ double box_distance(const Box& box, const dvec3& lower, const dvec3& upper) {
 }  // namespace
 
 ShapeSample sample_shape(const Shape& shape, const dvec3& p) {
-  // The nearest point of the axis first, then the cross-section there: one superellipse per query.
-  const auto& points = shape.points;
-  std::size_t best = 0;
-  double best_t = 0, best_d2 = std::numeric_limits<double>::infinity();
-  for (std::size_t k = 0; k + 1 < points.size(); ++k) {
-    const dvec3 ab = points[k + 1].at - points[k].at, ap = p - points[k].at;
-    const double t = std::clamp(glm::dot(ap, ab) / glm::dot(ab, ab), 0.0, 1.0);
-    const dvec3 q = ap - t * ab;
-    const double d2 = glm::dot(q, q);
-    if (d2 < best_d2) best = k, best_t = t, best_d2 = d2;
-  }
-  const Shape::Point& a = points[best];
-  const Shape::Point& b = points.size() > 1 ? points[best + 1] : a;
-  const auto mix = [&](const auto& u, const auto& v) { return u + (v - u) * best_t; };
-  const dvec3 q = p - mix(a.at, b.at);
-  const double s = glm::dot(q, mix(a.side_axis, b.side_axis)), u = glm::dot(q, mix(a.up_axis, b.up_axis));
-  const double rs = mix(a.side, b.side), ru = u >= 0 ? mix(a.up, b.up) : mix(a.down, b.down);
+  // The place along the axis first, then the cross-section there: one superellipse per query.
+  const bool ellipsoid = shape.points.size() == 1;
+  const double length = shape.step * static_cast<double>(shape.points.size() - 1);
+  const double place = ellipsoid ? 0 : place_on_axis(shape, p);
+  const Shape::Point c = ellipsoid ? shape.points[0] : axis_at(shape, place);
+  const dvec3 q = p - c.at;
+  const double s = glm::dot(q, c.side_axis), u = glm::dot(q, c.up_axis);
+  const double rs = c.side, ru = u >= 0 ? c.up : c.down;
+  // Beyond an end, how far. It sets in over a quarter stride, as the soft place may reach the end a little early.
   double w = 0, rw = 1;
-  if (best == 0 && best_t == 0 && glm::dot(q, shape.start_axis) > 0)
-    w = glm::dot(q, shape.start_axis), rw = shape.cap_start;
-  if (best + 2 >= points.size() && (best_t == 1 || points.size() == 1) && glm::dot(q, shape.end_axis) > 0)
-    w = glm::dot(q, shape.end_axis), rw = shape.cap_end;
+  const auto cap = [&](double past, const dvec3& axis, double reach) {
+    const double out = glm::dot(q, axis);
+    if (out > 0) w = ellipsoid ? out : out * std::min(1.0, past / (0.25 * shape.stride)), rw = reach;
+  };
+  if (place <= 0) cap(-place, shape.start_axis, shape.cap_start);
+  if (place >= length) cap(place - length, shape.end_axis, shape.cap_end);
   ShapeSample result;
-  result.along = (static_cast<double>(best) + best_t) / points_per_section;
+  result.along = c.along;
   // Distance to first order: (g - 1) / |grad g| for the homogeneous g that is 1 on the surface.
-  const double n = mix(a.power, b.power);
+  const double n = c.power;
   const double as = std::abs(s) / rs, au = std::abs(u) / ru, aw = std::abs(w) / rw;
   double g, slope;
   if (n < 2.001) {
@@ -144,6 +193,11 @@ ShapeSample sample_shape(const Shape& shape, const dvec3& p) {
   // Near the axis the slope has no meaning; the smallest radius is as far as the surface can be.
   const double least = std::min(rs, ru);
   result.distance = g < 0.05 ? (g - 1) * least : std::max((g - 1) / slope, -least);
+  // Well inside, the ends may be nearer than the sides (a flat sole, say).
+  if (!ellipsoid && result.distance < 0)
+    result.distance =
+        std::max({result.distance, -(std::max(place, 0.0) + shape.cap_start - (place < 0 ? w : 0)),
+                  -(std::max(length - place, 0.0) + shape.cap_end - (place > length ? w : 0))});
   return result;
 }
 
@@ -259,6 +313,7 @@ Field build_field(const QuadrupedSpec& spec, const std::vector<std::string>& joi
   };
   const auto add = [&](const Solid& solid) {
     Shape shape;
+    shape.name = solid.name;
     shape.kind = solid.kind;
     shape.blend = solid.blend, shape.detail = solid.detail;
     shape.cap_start = solid.cap_start, shape.cap_end = solid.cap_end;

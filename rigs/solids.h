@@ -10,14 +10,20 @@
 
 namespace moomill {
 
-// A solid made ready for evaluation: its sections resampled finely along a smooth axis.
+// A solid made ready for evaluation: its sections resampled finely and evenly along a smooth axis.
 struct Shape {
   struct Point {
     dvec3 at, side_axis, up_axis;
     double side, up, down, power;
+    double along;  // section number and fraction
   };
+  std::string name;  // of the solid, for messages
   Solid::Kind kind = Solid::Kind::add;
-  std::vector<Point> points;
+  std::vector<Point> points;  // every `step` metres of the axis; one only: an ellipsoid
+  double step = 0;
+  // Every `stride` metres of the axis a point to look for the nearest by, some beyond its ends; x, y, z apart.
+  double stride = 0;
+  std::vector<double> axis_x, axis_y, axis_z;
   std::vector<int> joints, parts;  // per section
   dvec3 start_axis{0}, end_axis{0};
   double cap_start = 0, cap_end = 0, blend = 0, detail = 1;

@@ -3,6 +3,7 @@
 #include <set>
 
 #include "generator/core/error.h"
+#include "scenes/breed_file.h"
 #include "scenes/scene.h"
 #include "scenes/words.h"
 
@@ -72,8 +73,14 @@ fs::path find_species(const std::string& name_or_path, const fs::path& relative_
 }
 
 std::vector<std::string> shipped_coats(const std::string& species) {
-  const std::set<std::string> names = toml_names(coats_of_species(species));
+  std::set<std::string> names = toml_names(coats_of_species(species));
+  names.erase("finish");  // what they all share
   return {names.begin(), names.end()};
+}
+
+fs::path find_finish(const std::string& species) {
+  const fs::path file = coats_of_species(species) / "finish.toml";
+  return is_file(file) ? file : fs::path();
 }
 
 fs::path find_coat(const std::string& name_or_path, const std::string& species, const fs::path& relative_to) {
@@ -85,6 +92,20 @@ fs::path find_coat(const std::string& name_or_path, const std::string& species, 
   std::vector<std::string> names = shipped_coats(species);
   names.push_back("own");
   input_error("there is no coat '{}' in {}{}", name_or_path, folder.string(), suggestion(name_or_path, names));
+}
+
+std::vector<std::string> shipped_breeds(const std::string& species) {
+  const std::set<std::string> names = toml_names(coats_of_species(species) / "breeds");
+  return {names.begin(), names.end()};
+}
+
+fs::path find_breed(const std::string& name_or_path, const std::string& species, const fs::path& relative_to) {
+  if (looks_like_path(name_or_path)) return find_file(name_or_path, relative_to);
+  const fs::path folder = coats_of_species(species) / "breeds";
+  const fs::path file = folder / (name_or_path + ".toml");
+  if (is_file(file)) return file;
+  input_error("there is no breed '{}' in {}{}", name_or_path, folder.string(),
+              suggestion(name_or_path, shipped_breeds(species)));
 }
 
 }  // namespace moomill

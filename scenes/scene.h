@@ -15,6 +15,7 @@
 #include "generator/dataset/dataset.h"
 #include "rigs/species.h"
 #include "textures/coat.h"
+#include "textures/finish.h"
 
 namespace moomill {
 
@@ -66,6 +67,12 @@ struct AnimalSpec {
   // Names (textures/<species>/<name>.toml), image files, or "own". Animals after the first have one coat (worn beside
   // every coat of the first) or as many as the first (worn index by index).
   std::vector<std::string> coats;
+  // By coat, those drawn from a breed ({breed = "holstein", count = 1000, seed = 7}); empty where none is. Their names are
+  // those of individuals ("holstein_000007").
+  std::vector<std::optional<Individual>> individuals;
+  const Individual* individual(std::size_t coat) const {
+    return coat < individuals.size() && individuals[coat] ? &*individuals[coat] : nullptr;
+  }
   std::vector<PoseSource> poses;  // in order; frame f takes the f-th pose; a single pose holds for all frames
   Distribution position;          // metres, on the ground
   Distribution yaw_deg;
@@ -126,6 +133,9 @@ struct RenderSpec {
   int max_bounces = 0;         // 0: no cap, unbiased (Russian roulette ends paths)
   double filter_radius = 1.5;  // pixels
   int coat_resolution = 2048;
+  // What baked coats and pictures in the making may take together, in MB (1e6 bytes). Coats that do not fit at once are
+  // baked again for every frame; no picture depends on it, so it is not part of what a dataset is.
+  double memory_mb = 2000;
 };
 
 struct SceneSpec {
@@ -204,6 +214,9 @@ CameraFraming default_framing(const std::string& species, const std::filesystem:
 int find_joint(const Rig& rig, const std::string& reference);
 
 Coat read_coat(const std::string& name_or_path, const std::string& species, const std::filesystem::path& relative_to);
+// textures/<species>/finish.toml; where a species has none, the defaults, and of find_finish() an empty path.
+Finish read_finish(const std::string& species);
+std::filesystem::path find_finish(const std::string& species);
 
 // Where data folders are: $MOOMILL_HOME, else the source tree the program was built from.
 std::filesystem::path data_root();

@@ -58,16 +58,21 @@ TomlReader::TomlReader(const toml::table& table, std::string file, std::string w
 int TomlReader::line(const std::string& key) const {
   for (const auto& [k, v] : *table_)
     if (k.str() == key) return static_cast<int>(k.source().begin.line);
-  return std::max(1, static_cast<int>(table_->source().begin.line));
+  return static_cast<int>(table_->source().begin.line);
+}
+
+std::string TomlReader::place(const std::string& key) const {
+  const int number = line(key);
+  return number > 0 ? fmt::format("{}:{}", file_, number) : file_;
 }
 
 void TomlReader::fail(const std::string& key, const std::string& what) const {
   const std::string in = where_.empty() ? "" : fmt::format(" in [{}]", where_);
-  throw InputError(fmt::format("{}:{}: '{}'{} {}", file_, line(key), key, in, what));
+  throw InputError(fmt::format("{}: '{}'{} {}", place(key), key, in, what));
 }
 
 void TomlReader::refuse(const std::string& key, const std::string& sentence) const {
-  throw InputError(fmt::format("{}:{}: {}", file_, line(key), sentence));
+  throw InputError(fmt::format("{}: {}", place(key), sentence));
 }
 
 void TomlReader::missing(const std::string& key, const std::string& example) const {
@@ -226,8 +231,7 @@ void TomlReader::finish() {
       if (!first || k.source().begin.line < first->source().begin.line) first = &k;
   if (!first) return;
   const std::string in = where_.empty() ? "" : fmt::format(" in [{}]", where_);
-  throw InputError(fmt::format("{}:{}: unknown key '{}'{}{}", file_, static_cast<int>(first->source().begin.line),
-                               first->str(), in, suggestion(std::string(first->str()), known, "known are")));
+  throw InputError(fmt::format("{}: unknown key '{}'{}{}", place(std::string(first->str())), first->str(), in, suggestion(std::string(first->str()), known, "known are")));
 }
 
 }  // namespace moomill

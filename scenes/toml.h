@@ -63,7 +63,8 @@ class TomlReader {
   const std::string& file() const { return file_; }
   const std::string& where() const { return where_; }  // dotted path of the table; empty for the file itself
   std::string path_of(const std::string& key) const { return where_.empty() ? key : where_ + "." + key; }
-  int line(const std::string& key) const;
+  int line(const std::string& key) const;           // 0 for a table made while running, not read from a file
+  std::string place(const std::string& key) const;  // "file:line", or "file" where there is no line
 
  private:
   double checked_number(const std::string& key, const toml::node& value, double lowest, double highest) const;

@@ -1,19 +1,16 @@
-// Baking: which triangle paints which texel, how part colours fade, and the evaluation of every texel.
+// Baking: which triangle paints which texel, and the evaluation of every texel.
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstring>
-#include <unordered_map>
 
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
 #include "textures/coat.h"
-#include "textures/pattern.h"
 
 namespace moomill {
 namespace {
 
-constexpr std::uint32_t nobody = 0xffffffffu;
+constexpr std::uint32_t nobody = texel_nobody;
 constexpr int band = 32;  // rows rasterised by one thread at a time
 
 double cross2(const dvec2& a, const dvec2& b) {
@@ -91,128 +88,55 @@ ImageU32 texel_owners(const Surface& s, int resolution, int rings) {
   return owner;
 }
 
-struct VecHash {
-  std::size_t operator()(const std::array<std::uint32_t, 3>& v) const {
-    return (v[0] * 0x9e3779b97f4a7c15ull ^ v[1]) * 0xbf58476d1ce4e5b9ull ^ v[2];
-  }
-};
-
-// Vertices of equal position are one here.
-std::vector<std::uint32_t> weld(const Surface& s, std::size_t& count) {
-  std::unordered_map<std::array<std::uint32_t, 3>, std::uint32_t, VecHash> seen;
-  seen.reserve(s.rest.size());
-  std::vector<std::uint32_t> id(s.rest.size());
-  for (std::size_t i = 0; i < s.rest.size(); ++i) {
-    std::array<std::uint32_t, 3> bits;
-    const vec3 p = s.rest[i] + 0.0f;  // minus zero welds with zero
-    std::memcpy(bits.data(), &p, sizeof p);
-    id[i] = seen.try_emplace(bits, static_cast<std::uint32_t>(seen.size())).first->second;
-  }
-  count = seen.size();
-  return id;
-}
-
-// How much of a part colour every vertex wears: a field that crosses one half along a smoothed border of the part.
-struct PartField {
-  std::vector<float> cover;  // per vertex
-  float half_width = 0.5f;   // of the fade, in units of cover
-};
-
-PartField part_field(const Surface& s, const std::vector<std::uint8_t>& in_part, const std::vector<std::uint32_t>& id,
-                     std::size_t count, double softness) {
-  std::vector<double> area(count, 0.0), inside(count, 0.0);
-  for (std::size_t t = 0; t < s.triangles.size(); ++t) {
-    const uvec3& v = s.triangles[t];
-    const double a = glm::length(glm::cross(s.rest[v.y] - s.rest[v.x], s.rest[v.z] - s.rest[v.x]));
-    for (int k = 0; k < 3; ++k) {
-      area[id[v[k]]] += a;
-      if (in_part[t]) inside[id[v[k]]] += a;
-    }
-  }
-  std::vector<double> value(count);
-  for (std::size_t i = 0; i < count; ++i) value[i] = area[i] > 0 ? inside[i] / area[i] : 0;
-  for (int round = 0; round < 2; ++round) {
-    std::vector<double> sum(count, 0.0);
-    std::vector<int> n(count, 0);
-    for (const uvec3& v : s.triangles)
-      for (int k = 0; k < 3; ++k) {
-        sum[id[v[k]]] += value[id[v[(k + 1) % 3]]] + value[id[v[(k + 2) % 3]]];
-        n[id[v[k]]] += 2;
-      }
-    for (std::size_t i = 0; i < count; ++i)
-      if (n[i] > 0) value[i] = 0.6 * value[i] + 0.4 * sum[i] / n[i];
-  }
-  // Mean slope of the field where it crosses one half: turns the wanted softness from metres into cover.
-  double slope = 0, weight = 0;
-  for (const uvec3& v : s.triangles)
-    for (int k = 0; k < 3; ++k) {
-      const double a = value[id[v[k]]], b = value[id[v[(k + 1) % 3]]],
-                   length = glm::length(s.rest[v[k]] - s.rest[v[(k + 1) % 3]]);
-      if ((a < 0.5) != (b < 0.5) && length > 0) slope += std::abs(a - b) / length, weight += 1;
-    }
-  PartField field;
-  field.half_width = weight > 0 ? static_cast<float>(std::clamp(0.5 * softness * slope / weight, 0.02, 0.5)) : 0.5f;
-  field.cover.resize(s.rest.size());
-  for (std::size_t i = 0; i < s.rest.size(); ++i) field.cover[i] = static_cast<float>(value[id[i]]);
-  return field;
-}
-
-// 8-bit sRGB by comparing with the 255 linear values between neighbouring codes: no pow per texel.
-struct SrgbEncoder {
-  std::array<float, 255> between;
-  SrgbEncoder() {
-    for (int i = 0; i < 255; ++i) {
-      const double v = (i + 0.5) / 255;
-      between[i] = static_cast<float>(v <= 0.04045 ? v / 12.92 : std::pow((v + 0.055) / 1.055, 2.4));
-    }
-  }
-  std::uint8_t operator()(float linear) const {
-    return static_cast<std::uint8_t>(std::upper_bound(between.begin(), between.end(), linear) - between.begin());
-  }
-};
-
 }  // namespace
 
-Image8 bake_coat(const ProceduralCoat& given, const Surface& s, const std::vector<std::string>& part_names,
-                 int resolution) {
+dvec3 texel_barycentrics(const Surface& s, std::uint32_t t, int resolution, int x, int y) {
+  return glm::clamp(barycentrics(corners_of(s, t, resolution), {x + 0.5, y + 0.5}), -3.0, 4.0);
+}
+
+TexelMap map_texels(const Hide& hide, int resolution) {
+  const Surface& s = *hide.surface;
   if (s.uvs.size() != s.rest.size() || s.uvs.empty())
     input_error("the rig has no UVs, so no coat can be baked for it; give it UVs or use its own materials");
   if (resolution < 1 || resolution > 32768)
     input_error("a coat cannot have {} texels a side; choose 1 to 32768", resolution);
-  const ProceduralCoat coat = calibrated(given, s);
-  const ImageU32 owner = texel_owners(s, resolution, std::max(2, resolution / 256));
-
-  std::size_t count = 0;
-  const std::vector<std::uint32_t> id = weld(s, count);
-  std::vector<PartField> fields(coat.parts.size());
-  parallel_for(coat.parts.size(), 1, [&](std::size_t i) {
-    std::vector<std::uint8_t> in_part(s.triangles.size(), 0);
-    for (std::size_t t = 0; t < s.triangles.size(); ++t)
-      in_part[t] =
-          t < s.parts.size() && s.parts[t] < part_names.size() && part_has_color(coat.parts[i], part_names[s.parts[t]]);
-    fields[i] = part_field(s, in_part, id, count, coat.parts[i].softness);
+  TexelMap map;
+  map.resolution = resolution;
+  map.owner = texel_owners(s, resolution, std::max(2, resolution / 256));
+  map.streak.assign(map.owner.data.size(), 0.0f);
+  parallel_for(resolution, 4, [&](std::size_t row) {
+    const int y = static_cast<int>(row);
+    std::vector<float> inside;
+    for (int x = 0; x < resolution; ++x) {
+      const std::uint32_t t = map.owner.at(x, y);
+      if (t == texel_nobody) continue;
+      const uvec3& v = s.triangles[t];
+      const dvec3 w = texel_barycentrics(s, t, resolution, x, y);
+      const dvec3 at = w.x * dvec3(s.rest[v.x]) + w.y * dvec3(s.rest[v.y]) + w.z * dvec3(s.rest[v.z]);
+      vec3 hair = static_cast<float>(w.x) * hide.hairs[v.x] + static_cast<float>(w.y) * hide.hairs[v.y] +
+                  static_cast<float>(w.z) * hide.hairs[v.z];
+      const float length = glm::length(hair);
+      if (length > 1) hair /= length;
+      map.streak[map.owner.index(x, y)] = hair_streak(hide.hair, at, hair);
+    }
   });
+  return map;
+}
 
-  const SrgbEncoder encode;
+Image8 bake_coat(const ReadyCoat& coat, const Hide& hide, const TexelMap& texels) {
+  const int resolution = texels.resolution;
+  const ImageU32& owner = texels.owner;
   Image8 image(resolution, resolution, 3);
   parallel_for(resolution, 4, [&](std::size_t row) {
     const int y = static_cast<int>(row);
+    std::vector<float> inside;
     for (int x = 0; x < resolution; ++x) {
       const std::uint32_t t = owner.at(x, y);
-      if (t == nobody) continue;
-      const uvec3& v = s.triangles[t];
-      const dvec3 w = glm::clamp(barycentrics(corners_of(s, t, resolution), {x + 0.5, y + 0.5}), -3.0, 4.0);
-      const dvec3 at = w.x * dvec3(s.rest[v.x]) + w.y * dvec3(s.rest[v.y]) + w.z * dvec3(s.rest[v.z]);
-      vec3 color = coat_color_without_parts(coat, at);
-      for (std::size_t i = 0; i < fields.size(); ++i) {
-        const std::vector<float>& c = fields[i].cover;
-        const float cover =
-            static_cast<float>(w.x) * c[v.x] + static_cast<float>(w.y) * c[v.y] + static_cast<float>(w.z) * c[v.z];
-        const float f = std::clamp((cover - 0.5f) / (2 * fields[i].half_width) + 0.5f, 0.0f, 1.0f);
-        if (f > 0) color = glm::mix(color, coat.parts[i].color, f * f * (3 - 2 * f));
-      }
-      color *= fur_shade(coat, at);
-      for (int c = 0; c < 3; ++c) image.at(x, y, c) = encode(color[c]);
+      if (t == texel_nobody) continue;
+      HidePoint p = hide_point(hide, t, texel_barycentrics(*hide.surface, t, resolution, x, y), inside, false);
+      p.streak = texels.streak[owner.index(x, y)];
+      const vec3 color = coat_color(coat, p);
+      for (int c = 0; c < 3; ++c) image.at(x, y, c) = encode_srgb(color[c]);
     }
   });
 
@@ -220,14 +144,20 @@ Image8 bake_coat(const ProceduralCoat& given, const Surface& s, const std::vecto
   std::array<std::uint64_t, 3> sum{};
   std::uint64_t painted = 0;
   for (std::size_t i = 0; i < owner.data.size(); ++i) {
-    if (owner.data[i] == nobody) continue;
+    if (owner.data[i] == texel_nobody) continue;
     ++painted;
     for (int c = 0; c < 3; ++c) sum[c] += image.data[3 * i + c];
   }
   for (std::size_t i = 0; i < owner.data.size() && painted > 0; ++i)
-    if (owner.data[i] == nobody)
+    if (owner.data[i] == texel_nobody)
       for (int c = 0; c < 3; ++c) image.data[3 * i + c] = static_cast<std::uint8_t>(sum[c] / painted);
   return image;
+}
+
+Image8 bake_coat(const ProceduralCoat& coat, Hide& hide, int resolution) {
+  const TexelMap texels = map_texels(hide, resolution);
+  know_parts(hide, coat);
+  return bake_coat(ready_coat(coat, hide), hide, texels);
 }
 
 }  // namespace moomill

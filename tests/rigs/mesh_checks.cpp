@@ -78,6 +78,13 @@ TEST_CASE("Mesh checks: a cube, a torus and two bodies") {
   CHECK(t.volume == doctest::Approx(2 * pi * pi * 0.0625).epsilon(2e-3));
   CHECK(t.area == doctest::Approx(4 * pi * pi * 0.25).epsilon(2e-3));
   CHECK(t.self_intersections == 0);
+  const Soup ring = torus(1, 0.25, 64, 32);
+  const std::vector<Ring> rings = find_rings(ring.positions, ring.triangles, weld(ring.positions));
+  REQUIRE(rings.size() == 2);
+  CHECK(rings[0].length == doctest::Approx(2 * pi * 0.25).epsilon(0.05));
+  CHECK(glm::length(rings[0].centre) == doctest::Approx(1).epsilon(0.05));
+  const Soup box = cube(vec3(1), 2);
+  CHECK(find_rings(box.positions, box.triangles, weld(box.positions)).empty());
 
   Soup two = cube(vec3(0), 1);
   two.add(cube(vec3(3), 1));
