@@ -57,6 +57,14 @@ struct CompareCommand {
 };
 int run_rig_compare(const CompareCommand& command);
 
+struct CoatBakeCommand {
+  std::string coat, rig, out;
+  int resolution = 2048;
+};
+int run_coat_list(const std::string& species);
+int run_coat_bake(const CoatBakeCommand& command);
+int run_coat_compare(const std::string& species, const std::string& folder);
+
 int run_rig_info(const std::string& rig);
 int run_rig_check(const std::string& rig);
 int run_rig_build(const std::string& spec, const std::string& out);

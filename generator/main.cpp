@@ -205,6 +205,29 @@ int run(int argc, char** argv) {
   c->add_option("-o,--out", rig_out, "folder for summary.json and table.md")->type_name("DIR");
   c->add_option("--frames", deform_options.frames, "frames A to B only, both included")->type_name("A:B");
 
+  CLI::App* coat = app.add_subcommand("coat", "Look at coats and bake them");
+  coat->require_subcommand(1);
+  add_example(coat, "moomill coat list cow");
+  std::string coat_species, coat_out;
+  c = add_command(*coat, "list", "The coats that ship for a species, by index", "moomill coat list cow", status,
+                  [&] { return run_coat_list(coat_species); });
+  c->add_option("species", coat_species, "species name")->required()->type_name("SPECIES");
+  CoatBakeCommand bake;
+  c = add_command(*coat, "bake", "Bake a coat file over a rig's UV atlas",
+                  "moomill coat bake 00_holstein --rig cow -o out/holstein.png", status,
+                  [&] { return run_coat_bake(bake); });
+  c->add_option("coat", bake.coat, "coat name or .toml")->required()->type_name("COAT");
+  c->add_option("--rig", bake.rig, "species name, species file or rig file")->required()->type_name("RIG");
+  c->add_option("--resolution", bake.resolution, "texels a side; default 2048")
+      ->type_name("N")
+      ->check(CLI::Range(1, 32768));
+  c->add_option("-o,--out", bake.out, "picture")->required()->type_name("FILE.png");
+  c = add_command(*coat, "compare", "How different the coats of a species look; exit 1 when a pair misses its bound",
+                  "moomill coat compare cow -o out/coats", status,
+                  [&] { return run_coat_compare(coat_species, coat_out); });
+  c->add_option("species", coat_species, "species name")->required()->type_name("SPECIES");
+  c->add_option("-o,--out", coat_out, "folder for summary.json and table.md")->type_name("DIR");
+
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& e) {

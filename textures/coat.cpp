@@ -27,7 +27,8 @@ enum Stream : std::uint64_t {
   freckle_group,
   shade_blotch,
   part_border,
-  part_mottle
+  part_mottle,
+  cell_border
 };
 
 std::uint32_t key(std::uint64_t seed, Stream stream, std::uint64_t more = 0) {
@@ -116,8 +117,9 @@ double freckle_cover(double density, double size, const HidePoint& h, std::uint6
   constexpr double mean_volume = 0.5628;  // of balls with radii uniform in [0.35, 0.65]
   const double presence = density * cell * cell * cell / mean_volume;
   const std::uint32_t shape = key(seed, freckle_shape, octave);
-  const dvec3 wobble(gradient_noise(h.at / (0.5 * size), shape), gradient_noise(h.at / (0.5 * size) + 57.3, shape), 0);
-  const dvec3 q = h.at / (cell * size) + 0.14 * wobble;
+  const dvec3 w = h.at / (0.45 * size);
+  const dvec3 wobble(gradient_noise(w, shape), gradient_noise(w, shape + 1), gradient_noise(w, shape + 2));
+  const dvec3 q = h.at / (cell * size) + 0.28 * wobble;
   const dvec3 base = glm::floor(q - 0.5);
   const std::uint32_t lattice = key(seed, freckle, octave);
   double cover = 0;
@@ -129,7 +131,7 @@ double freckle_cover(double density, double size, const HidePoint& h, std::uint6
     const std::uint64_t more = mix64(hash);
     const dvec3 centre = dvec3(x, y, z) + dvec3(more & 0xffff, more >> 16 & 0xffff, more >> 32 & 0xffff) * 0x1.0p-16;
     const double radius = (0.35 + 0.3 * static_cast<double>(more >> 48) * 0x1.0p-16) / cell;
-    cover = std::max(cover, 1 - ramp(0.85, 1.1, glm::length(q - centre) / radius + 0.2 * h.streak));
+    cover = std::max(cover, 1 - ramp(0.8, 1.15, glm::length(q - centre) / radius + 0.3 * h.streak));
   }
   return cover;
 }
@@ -139,9 +141,14 @@ double freckles_cover(const Freckles& f, const HidePoint& h, std::uint64_t seed)
   // Groups: a factor of mean 1 on the density, which by the noise's symmetry keeps the share.
   const double group = ramp(-0.3, 0.3, gradient_noise(h.at / (10 * f.size), key(seed, freckle_group)));
   const double density = f.density * (1 + f.clustering * (2 * group - 1));
-  const double large = 0.65 * density, small = (density - large) / (1 - large);
-  const double a = freckle_cover(large, f.size, h, seed, 0), b = freckle_cover(small, 0.45 * f.size, h, seed, 1);
-  return 1 - (1 - a) * (1 - b);
+  // Few large ones, many small: three sizes share the area, each thinned by those before it.
+  double bare = 1, left = density;
+  for (const auto& [part, size] : {std::pair(0.45, 1.0), std::pair(0.33, 0.55), std::pair(0.22, 0.3)}) {
+    const double own = part * density / (1 - (density - left));
+    bare *= 1 - freckle_cover(own, size * f.size, h, seed, static_cast<std::uint64_t>(100 * size));
+    left -= part * density;
+  }
+  return 1 - bare;
 }
 
 double mark_cover(const Mark& m, const PartFrame& frame, const HidePoint& h, std::uint32_t noise_key) {
@@ -222,6 +229,7 @@ ReadyCoat ready_coat(const ProceduralCoat& coat, const Hide& hide) {
     ready.color_parts.push_back(hide.pattern(p.part));
     ready.part_depths.push_back(hide.deepest[ready.color_parts.back()]);
   }
+  if (const auto* cells = std::get_if<CellPattern>(&coat.base)) ready.cells = strew_cells(*cells, hide, coat.seed);
   if (const auto* pattern = std::get_if<PatchPattern>(&coat.base)) {
     std::vector<double> levels;
     std::vector<float> inside;
@@ -248,9 +256,13 @@ double patch_depth(const ReadyCoat& coat, const HidePoint& point) {
 
 vec3 coat_color(const ReadyCoat& ready, const HidePoint& h) {
   const ProceduralCoat& coat = ready.coat;
-  vec3 color = std::holds_alternative<PatchPattern>(coat.base)
-                   ? patches(ready, std::get<PatchPattern>(coat.base), h)
-                   : plain_color(std::get<PlainPattern>(coat.base), h.at, coat.seed);
+  vec3 color;
+  if (const auto* p = std::get_if<PatchPattern>(&coat.base))
+    color = patches(ready, *p, h);
+  else if (const auto* c = std::get_if<CellPattern>(&coat.base))
+    color = cell_color(*c, ready.cells, h, key(coat.seed, cell_border));
+  else
+    color = plain_color(std::get<PlainPattern>(coat.base), h.at, coat.seed);
   color = glm::mix(color, coat.freckles.color, static_cast<float>(freckles_cover(coat.freckles, h, coat.seed)));
   for (std::size_t i = 0; i < coat.marks.size(); ++i)
     if (!ready.mark_frames[i].empty())
