@@ -207,46 +207,55 @@ void check_inside(const Species& base, const BindSpec& spec, const VoxelSolid& s
                 sentence_list(names), fmt::format("{:.2f}", tolerance));
 }
 
-// The nearest of many points, by a grid of buckets.
+// The nearest of many points: a tree that halves them along x, y and z in turn (Bentley 1975).
 class NearestPoint {
  public:
-  NearestPoint(const std::vector<dvec3>& points, double cell) : points_(points), cell_(cell) {
-    for (std::size_t i = 0; i < points.size(); ++i) buckets_[key(points[i])].push_back(static_cast<std::uint32_t>(i));
+  explicit NearestPoint(const std::vector<dvec3>& points) : points_(points), order_(points.size()) {
+    std::iota(order_.begin(), order_.end(), 0u);
+    build(0, order_.size(), 0);
   }
   std::uint32_t find(const dvec3& p) const {
-    const std::array<int, 3> c = key(p);
-    std::uint32_t best = 0;
-    double least = std::numeric_limits<double>::infinity();
-    for (int ring = 0; ring < 400 && (ring - 1) * cell_ <= least; ++ring)
-      for (int z = -ring; z <= ring; ++z)
-        for (int y = -ring; y <= ring; ++y)
-          for (int x = -ring; x <= ring; x += ring > 0 && std::abs(z) < ring && std::abs(y) < ring ? 2 * ring : 1) {
-            const auto found = buckets_.find({c[0] + x, c[1] + y, c[2] + z});
-            if (found == buckets_.end()) continue;
-            for (const std::uint32_t i : found->second) {
-              const double d = glm::length(points_[i] - p);
-              if (d < least) least = d, best = i;
-            }
-          }
-    return best;
+    Found best;
+    search(p, 0, order_.size(), 0, best);
+    return best.index;
   }
 
  private:
-  std::array<int, 3> key(const dvec3& p) const {
-    std::array<int, 3> k;
-    for (int a = 0; a < 3; ++a) k[a] = static_cast<int>(std::floor(std::clamp(p[a] / cell_, -1e6, 1e6)));
-    return k;
+  struct Found {
+    std::uint32_t index = 0;
+    double square = std::numeric_limits<double>::infinity();
+  };
+  void build(std::size_t first, std::size_t last, int axis) {
+    if (last - first < 2) return;
+    const std::size_t middle = (first + last) / 2;
+    const auto at = [&](std::size_t i) { return order_.begin() + static_cast<std::ptrdiff_t>(i); };
+    std::nth_element(at(first), at(middle), at(last), [&](std::uint32_t i, std::uint32_t j) {
+      return points_[i][axis] != points_[j][axis] ? points_[i][axis] < points_[j][axis] : i < j;
+    });
+    build(first, middle, (axis + 1) % 3);
+    build(middle + 1, last, (axis + 1) % 3);
+  }
+  void search(const dvec3& p, std::size_t first, std::size_t last, int axis, Found& best) const {
+    if (first >= last) return;
+    const std::size_t middle = (first + last) / 2;
+    const std::uint32_t i = order_[middle];
+    const dvec3 d = points_[i] - p;
+    const double square = glm::dot(d, d);
+    if (square < best.square || (square == best.square && i < best.index)) best = {i, square};
+    const double side = p[axis] - points_[i][axis];
+    const int next = (axis + 1) % 3;
+    side < 0 ? search(p, first, middle, next, best) : search(p, middle + 1, last, next, best);
+    if (side * side <= best.square) side < 0 ? search(p, middle + 1, last, next, best) : search(p, first, middle, next, best);
   }
   const std::vector<dvec3>& points_;
-  double cell_;
-  std::map<std::array<int, 3>, std::vector<std::uint32_t>> buckets_;
+  std::vector<std::uint32_t> order_;
 };
 
 // The species' weights where the inverse warp finds its skin, on the cells at the surface; cells inside take those of
 // the nearest cell at the surface.
 Seeds carried_seeds(const VoxelSolid& solid, const Species& base, const std::vector<dvec3>& skin_points, const Warp& back) {
   const std::size_t bones = base.rig.bones.size(), n = solid.places.size();
-  const NearestPoint nearest(skin_points, 0.02 * Box{back.lower, back.upper}.diagonal());
+  const NearestPoint nearest(skin_points);
   Seeds seeds(n * bones, 0.0f);
   parallel_for(n, 64, [&](std::size_t i) {
     if (!solid.on_surface[i]) return;
@@ -315,7 +324,7 @@ void weigh(Rig& rig, const Species& base, const VoxelSolid& solid, const Seeds& 
   std::vector<std::uint32_t> body_place;
   for (std::uint32_t p = 0; p < places; ++p)
     if (pieces.areas[piece[p]] > 0.1 * most) body.push_back(points[p]), body_place.push_back(p);
-  const NearestPoint nearest(body, 2 * solid.cell);
+  const NearestPoint nearest(body);
   std::size_t carried = 0;
   for (std::uint32_t i = 0; i < pieces.areas.size(); ++i) {
     if (pieces.areas[i] > 0.1 * most || pieces.boxes[i].empty()) continue;

@@ -14,9 +14,8 @@ bool fit_warp(const std::vector<dvec3>& from, const std::vector<dvec3>& to, Warp
   const std::size_t n = from.size(), m = n + 4;
   // [K P; P' 0] [w; a] = [to; 0], solved by elimination with pivoting.
   std::vector<std::vector<double>> a(m, std::vector<double>(m + 3, 0.0));
-  Box reach, targets;
+  Box reach;
   for (const dvec3& p : from) reach.add(p);
-  for (const dvec3& p : to) targets.add(p);
   for (std::size_t i = 0; i < n; ++i) {
     for (std::size_t j = 0; j < n; ++j) a[i][j] = glm::length(from[i] - from[j]);
     a[i][n] = a[n][i] = 1;
@@ -42,7 +41,6 @@ bool fit_warp(const std::vector<dvec3>& from, const std::vector<dvec3>& to, Warp
   for (std::size_t i = 0; i < n; ++i) warp.weights.push_back(solution(i));
   warp.shift = solution(n);
   for (int k = 0; k < 3; ++k) warp.linear[k] = solution(n + 1 + k);
-  warp.lower = targets.lower, warp.upper = targets.upper;
   return true;
 }
 

@@ -11,7 +11,6 @@ struct Warp {
   std::vector<dvec3> centres, weights;
   dmat3 linear{1.0};
   dvec3 shift{0};
-  dvec3 lower{0}, upper{0};  // of what it maps to
   dvec3 apply(const dvec3& p) const;
 };
 
