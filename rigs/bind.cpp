@@ -14,7 +14,7 @@
 namespace moomill {
 namespace {
 
-constexpr double cells_along = 180;  // along the longest side, as for the builder
+constexpr double cells_along = 140;  // along the longest side, as for the builder
 
 // Triangles that hang together, vertices at the same place being one.
 struct Pieces {

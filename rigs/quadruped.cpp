@@ -16,7 +16,7 @@ namespace moomill {
 namespace {
 
 // Cells along the longest side of the body that weights diffuse on.
-constexpr double weight_cells = 180;
+constexpr double weight_cells = 140;
 
 // -1 when absent.
 int node_named(const Rig& rig, const std::string& name) {

@@ -82,7 +82,7 @@ void solve(const VoxelSolid& solid, const std::vector<double>& k, std::vector<do
     direction[i] = inverse[i] * residual[i];
     rz += residual[i] * direction[i];
   }
-  const double goal = 1e-10 * rz;
+  const double goal = 1e-7 * rz;  // a few parts in ten thousand of the weights
   for (int step = 0; step < 400 && rz > goal; ++step) {
     apply(direction, image);
     double curvature = 0;
