@@ -2,10 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
 
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
+#include "rigs/quadruped_check.h"
 #include "rigs/remesh.h"
 #include "rigs/skin_weights.h"
 #include "rigs/solids.h"
@@ -18,36 +18,17 @@ namespace {
 // Cells along the longest side of the body that weights diffuse on.
 constexpr double weight_cells = 140;
 
-// -1 when absent.
-int node_named(const Rig& rig, const std::string& name) {
-  for (std::size_t i = 0; i < rig.nodes.size(); ++i)
-    if (rig.nodes[i].name == name) return static_cast<int>(i);
-  return -1;
-}
-
-void add_joints(const QuadrupedSpec& spec, Rig& rig, std::vector<dvec3>& at) {
-  const auto add = [&](const std::string& name, const std::string& parent, const dvec3& place) {
-    if (node_named(rig, name) >= 0)
-      input_error("{}: the joint '{}' occurs twice in [[builder.joints]]; rename one", spec.source, name);
+void add_joints(const std::vector<QuadrupedJoint>& joints, Rig& rig) {
+  for (const QuadrupedJoint& j : joints) {
     Node node;
-    node.name = name;
-    node.parent = parent.empty() ? -1 : node_named(rig, parent);
-    if (!parent.empty() && node.parent < 0)
-      input_error("{}: the parent '{}' of joint '{}' is not listed before it in [[builder.joints]]", spec.source,
-                  parent, name);
-    if (parent.empty() && !rig.nodes.empty())
-      input_error("{}: joint '{}' needs a parent; only the first is the root", spec.source, name);
-    node.translation = node.parent >= 0 ? place - at[node.parent] : place;
+    node.name = j.name;
+    node.parent = rig.find_node(j.parent);
+    node.translation = node.parent >= 0 ? j.at - joints[node.parent].at : j.at;
     Bone bone;
     bone.node = static_cast<int>(rig.nodes.size());
-    bone.inverse_bind[3] = dvec4(-place, 1.0);  // all joints are turned as the model is in the neutral pose
+    bone.inverse_bind[3] = dvec4(-j.at, 1.0);  // all joints are turned as the model is in the neutral pose
     rig.nodes.push_back(std::move(node));
     rig.bones.push_back(bone);
-    at.push_back(place);
-  };
-  for (const QuadrupedJoint& j : spec.joints) {
-    add(j.name, j.parent, j.at);
-    if (j.mirror) add(mirror_name(j.name), mirror_name(j.parent), {j.at.x, -j.at.y, j.at.z});
   }
 }
 
@@ -131,45 +112,27 @@ std::vector<double> skin_weights(const HalfMesh& mesh, const Field& field, const
   return weights;
 }
 
-void check_one_body(const QuadrupedSpec& spec, const HalfMesh& mesh) {
-  std::vector<std::uint32_t> root(mesh.positions.size());
-  std::iota(root.begin(), root.end(), 0u);
-  const auto find = [&](std::uint32_t v) {
-    while (root[v] != v) v = root[v] = root[root[v]];
-    return v;
-  };
-  for (const uvec3& t : mesh.triangles)
-    for (int k = 0; k < 2; ++k) {
-      const std::uint32_t a = find(t[k]), b = find(t[k + 1]);
-      root[std::max(a, b)] = std::min(a, b);
-    }
-  for (std::uint32_t v = 0; v < root.size(); ++v)
-    if (find(v) != find(0)) {
-      const dvec3& p = mesh.positions[v];
-      input_error("{}: the solids form more than one body, one of them near ({:.2f}, {:.2f}, {:.2f}); let them overlap",
-                  spec.source, p.x, p.y, p.z);
-    }
-}
-
 }  // namespace
 
 Rig build_quadruped(const QuadrupedSpec& spec) {
   Rig rig;
   rig.source = spec.source;
-  std::vector<dvec3> joint_at;
-  add_joints(spec, rig, joint_at);
+  check_numbers(spec);
+  const std::vector<QuadrupedJoint> joints = ordered_joints(spec);
+  add_joints(joints, rig);
   std::vector<std::string> names;
   for (const Node& node : rig.nodes) names.push_back(node.name);
   std::vector<int> twin;
   for (std::size_t j = 0; j < names.size(); ++j) {
-    const int other = node_named(rig, mirror_name(names[j]));
+    const int other = rig.find_node(mirror_name(names[j]));
     twin.push_back(other >= 0 ? other : static_cast<int>(j));
   }
 
   const Field field = build_field(spec, names, rig.part_names);
   HalfMesh half = polygonise(field, spec.grid);
+  keep_one_body(spec, field, half);
   remesh(half, field, spec.target_edge, 8);
-  check_one_body(spec, half);
+  check_joints_inside(spec, joints, field, half);
   const std::vector<double> weights = skin_weights(half, field, twin);
 
   const std::size_t half_triangles = half.triangles.size();
@@ -227,6 +190,7 @@ Rig build_quadruped(const QuadrupedSpec& spec) {
     }
   }
   rig.influence_begin.push_back(static_cast<std::uint32_t>(rig.influences.size()));
+  check_surface(spec, field, rig);
 
   MeshPart mesh;
   mesh.name = "body";

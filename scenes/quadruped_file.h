@@ -1,5 +1,5 @@
 #pragma once
-// The [builder] table of a species file: see rigs/cow/README.md for its keys.
+// The [builder] table of a species file: see rigs/README.md for its keys.
 #include "rigs/quadruped.h"
 #include "scenes/toml.h"
 

@@ -63,7 +63,7 @@ class SpeciesReader {
     read_keypoints();
     s_.edges = read_name_pairs("edges");
     s_.pairs = read_name_pairs("pairs");
-    check_pairs();
+    check_pairs(built);
     read_limits();
     for (TomlReader& leg : root_.tables("legs")) legs_.push_back(read_leg(leg));
     root_.finish();
@@ -222,12 +222,23 @@ class SpeciesReader {
     return out;
   }
 
-  void check_pairs() {
+  // With names as the builder gives them, every left keypoint has its right one, and the two are a pair.
+  void check_pairs(bool built) {
     std::set<int> seen;
     for (const auto& [left, right] : s_.pairs)
       for (const int k : {left, right})
         if (!seen.insert(k).second)
           root_.fail("pairs", fmt::format("names '{}' twice; a keypoint has one counterpart", s_.keypoints[k].name));
+    if (!built) return;
+    for (std::size_t k = 0; k < s_.keypoints.size(); ++k) {
+      const std::string& name = s_.keypoints[k].name;
+      const std::string other = mirror_name(name);
+      if (other == name) continue;
+      if (std::none_of(s_.keypoints.begin(), s_.keypoints.end(), [&](auto& p) { return p.name == other; }))
+        root_.fail("keypoints", fmt::format("hold '{}' but not its counterpart '{}'; add it", name, other));
+      if (!seen.count(static_cast<int>(k)))
+        root_.fail("pairs", fmt::format("lack '{}' and '{}'; add [\"{}\", \"{}\"]", name, other, name, other));
+    }
   }
 
   void read_limits() {
