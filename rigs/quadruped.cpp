@@ -239,7 +239,7 @@ Rig build_quadruped(const QuadrupedSpec& spec) {
     charts.push_back(charts[c]);
     for (dvec2& p : charts.back().flat) p.x = -p.x;
   }
-  pack_charts(charts, spec.gutter);
+  pack_charts(charts, half.triangles, spec.gutter);
 
   // Vertices chart by chart: a vertex on a seam occurs once in every chart that touches it.
   Surface& s = rig.surface;

@@ -1,9 +1,12 @@
 #include "scenes/appearance.h"
 
 #include <map>
+#include <mutex>
 
 #include "generator/core/error.h"
+#include "generator/core/parallel.h"
 #include "generator/dataset/codecs.h"
+#include "scenes/breed_file.h"
 
 namespace moomill {
 namespace {
@@ -44,27 +47,27 @@ class TexturePool {
   std::map<std::pair<const Rig*, int>, Image8> decoded_;
 };
 
-std::vector<Coat> coats_of(const SceneSpec& scene, std::size_t animal) {
-  const AnimalSpec& spec = scene.animals[animal];
-  const auto folder = std::filesystem::path(scene.file).parent_path();
-  std::vector<std::string> names;
-  for (int index : scene.coat_indices)
-    names.push_back(spec.coats.empty() ? "own" : spec.coats.size() == 1 ? spec.coats[0] : spec.coats[index]);
-  std::vector<Coat> coats;
-  for (const std::string& name : names) coats.push_back(read_coat(name, spec.species, folder));
-  return coats;
-}
-
 // What the coats of one species share, made when it is first asked for.
 class Baker {
  public:
   Baker(const Species& species, const std::string& name, int resolution)
       : species_(species), finish_(read_finish(name)), resolution_(resolution) {}
 
-  Image8 coat(const ProceduralCoat& coat) {
-    prepare();
-    know_parts(*hide_, coat);
-    return bake_coat(ready_coat(coat, *hide_), *hide_, texels_);
+  // All at once: what is learnt of the hide is learnt before any is baked.
+  std::vector<std::optional<Image8>> bake(const std::vector<const ProceduralCoat*>& coats) {
+    std::vector<std::optional<Image8>> out(coats.size());
+    bool any = false;
+    for (const ProceduralCoat* coat : coats) {
+      if (!coat) continue;
+      any = true;
+      prepare();
+      know_parts(*hide_, *coat);
+    }
+    if (any)
+      parallel_for(coats.size(), 1, [&](std::size_t i) {
+        if (coats[i]) out[i] = bake_coat(ready_coat(*coats[i], *hide_), *hide_, texels_);
+      });
+    return out;
   }
   FinishMaps finish() {
     prepare();
@@ -85,21 +88,6 @@ class Baker {
   TexelMap texels_;
 };
 
-// The image of a coat in the rig's UV space, or nothing for one that wears the rig's own materials.
-std::optional<Image8> image_of(const Coat& coat, const Species& species, Baker& baker, StageCounts& counts) {
-  if (const auto* procedural = std::get_if<ProceduralCoat>(&coat.source)) {
-    ++counts.coats;
-    return baker.coat(*procedural);
-  }
-  if (const auto* file = std::get_if<ImageCoat>(&coat.source)) {
-    if (species.rig.surface.uvs.empty())
-      input_error("{}: the rig {} has no UVs, so it cannot wear an image; give it UVs or the coat \"own\"", file->file, species.rig.source);
-    ++counts.images;
-    return read_image8(std::filesystem::path(file->file));
-  }
-  return std::nullopt;
-}
-
 Paint constant_paint(const vec3& color, int coats) {
   Paint p;
   p.coats.assign(coats, {color, -1, false});
@@ -108,68 +96,146 @@ Paint constant_paint(const vec3& color, int coats) {
 
 }  // namespace
 
-BuiltAppearance build_appearance(const SceneSpec& scene, const std::vector<const Species*>& species, bool with_light,
-                                 StageCounts& counts) {
-  BuiltAppearance built;
-  built.appearance = std::make_shared<Appearance>();
-  Appearance& a = *built.appearance;
-  a.coat_count = with_light ? static_cast<int>(scene.coat_indices.size()) : 0;
-  if (with_light && (a.coat_count < 1 || a.coat_count > 32))
-    input_error("{}: {} coats at once; a run shades 1 to 32, so choose some with --coats", scene.file, a.coat_count);
-  TexturePool pool(a, counts);
-  std::map<const Species*, Baker> bakers;  // animals of a species share theirs
+double baked_coat_bytes(int resolution) { return 3.0 * resolution * resolution; }
 
+double picture_bytes(int width, int height) { return 4.0 * sizeof(float) * width * height; }
+
+int coats_per_batch(int width, int height, double bytes) {
+  return static_cast<int>(std::clamp(bytes / picture_bytes(width, height), 1.0, 32.0));
+}
+
+struct Wardrobe::State {
+  SceneSpec scene;
+  std::vector<const Species*> species;
+  StageCounts& counts;
+  std::mutex mutex;
+  std::vector<std::shared_ptr<Baker>> bakers;  // per animal; those of one species share theirs
+  std::map<std::string, Breed> breeds;
+  std::vector<std::vector<int>> own_textures;          // per animal, per rig material: its own base texture
+  std::vector<std::shared_ptr<const Appearance>> kept;      // per batch
+  std::vector<std::weak_ptr<const Appearance>> in_use;      // per batch
+  std::size_t most_kept = 0;
+
+  Coat coat(std::size_t animal, int index) {
+    const AnimalSpec& spec = scene.animals[animal];
+    const auto folder = std::filesystem::path(scene.file).parent_path();
+    if (spec.coats.empty()) return read_coat("own", spec.species, folder);
+    const std::size_t i = spec.coats.size() == 1 ? 0 : static_cast<std::size_t>(index);
+    if (const Individual* one = spec.individual(i)) {
+      auto found = breeds.find(one->breed);
+      if (found == breeds.end())
+        found = breeds.emplace(one->breed, read_breed(one->breed, find_species(spec.species, folder).stem().string(), folder)).first;
+      return individual(found->second, one->seed, one->index);
+    }
+    return read_coat(spec.coats[i], spec.species, folder);
+  }
+
+  // The images of some coats in the rig's UV space, or nothing for one that wears the rig's own materials.
+  std::vector<std::optional<Image8>> images_of(std::size_t animal, const std::vector<Coat>& coats) {
+    const Species& s = *species[animal];
+    std::vector<const ProceduralCoat*> procedural(coats.size(), nullptr);
+    for (std::size_t i = 0; i < coats.size(); ++i)
+      if ((procedural[i] = std::get_if<ProceduralCoat>(&coats[i].source))) ++counts.coats;
+    std::vector<std::optional<Image8>> out = bakers[animal]->bake(procedural);
+    for (std::size_t i = 0; i < coats.size(); ++i) {
+      const auto* file = std::get_if<ImageCoat>(&coats[i].source);
+      if (!file) continue;
+      if (s.rig.surface.uvs.empty())
+        input_error("{}: the rig {} has no UVs, so it cannot wear an image; give it UVs or the coat \"own\"", file->file, s.rig.source);
+      ++counts.images;
+      out[i] = read_image8(std::filesystem::path(file->file));
+    }
+    return out;
+  }
+
+  std::vector<std::optional<Image8>> images_of_batch(std::size_t animal, const std::vector<int>& batch) {
+    const bool one = scene.animals[animal].coats.size() <= 1;  // worn beside all coats of the first: baked once
+    std::vector<Coat> coats;
+    for (std::size_t i = 0; i < (one ? 1 : batch.size()); ++i) coats.push_back(coat(animal, batch[i]));
+    std::vector<std::optional<Image8>> images = images_of(animal, coats);
+    if (one) images.resize(batch.size(), std::optional<Image8>(images[0]));
+    return images;
+  }
+
+  std::shared_ptr<const Appearance> make(const Appearance& bare, const std::vector<int>& batch,
+                                         const std::vector<std::vector<int>>& materials, int ground_material);
+};
+
+std::shared_ptr<const Appearance> Wardrobe::State::make(const Appearance& bare, const std::vector<int>& batch,
+                                                        const std::vector<std::vector<int>>& materials,
+                                                        int ground_material) {
+  auto dressed = std::make_shared<Appearance>(bare);
+  Appearance& a = *dressed;
+  a.coat_count = static_cast<int>(batch.size());
   for (std::size_t animal = 0; animal < species.size(); ++animal) {
     const Species& s = *species[animal];
-    const bool has_uvs = !s.rig.surface.uvs.empty();
-    std::vector<int> materials;
-
+    std::vector<std::optional<Image8>> images = images_of_batch(animal, batch);
     // Coats that are images are one paint for all materials; a coat "own" wants one paint a material.
-    std::vector<std::optional<Image8>> images;
-    int shared_paint = -1;
-    int finish_normal = -1, finish_roughness = -1;
-    if (with_light) {
-      const std::string& name = scene.animals[animal].species;
-      Baker& baker = bakers.try_emplace(&s, s, name, scene.render.coat_resolution).first->second;
-      // Whatever its coats: a coat must look the same alone and beside others.
-      if (has_uvs && !find_finish(name).empty()) {
-        if (baker.normal < 0) {
-          FinishMaps maps = baker.finish();
-          ++counts.finishes;
-          const TexturePlacement clamped{Wrap::clamp, Wrap::clamp};
-          baker.normal = pool.add(Texture{std::move(maps.normal), clamped});
-          baker.roughness = pool.add(Texture{std::move(maps.roughness), clamped});
-        }
-        finish_normal = baker.normal;
-        finish_roughness = baker.roughness;
-      }
-      for (const Coat& coat : coats_of(scene, animal)) {
-        // Animals that wear one coat beside many of the first need not bake it again.
-        const bool repeated = !images.empty() && scene.animals[animal].coats.size() <= 1;
-        images.push_back(repeated ? images.front() : image_of(coat, s, baker, counts));
-      }
-      bool stackable = images[0].has_value();
-      for (const auto& im : images)
-        stackable = stackable && im && im->width == images[0]->width && im->height == images[0]->height && im->channels >= 3;
-      if (stackable) {
-        auto paint = std::make_shared<Paint>(constant_paint(vec3(1), a.coat_count));
-        std::vector<const Image8*> pointers;
-        for (const auto& im : images) pointers.push_back(&*im);
-        paint->stack_placement.wrap_u = paint->stack_placement.wrap_v = Wrap::clamp;
-        build_stack(*paint, pointers);
-        shared_paint = static_cast<int>(a.paints.size());
-        a.paints.push_back(std::move(paint));
-        images.clear();
-      }
+    bool stackable = images[0].has_value();
+    for (const auto& im : images)
+      stackable = stackable && im && im->width == images[0]->width && im->height == images[0]->height && im->channels >= 3;
+    if (stackable) {
+      auto paint = std::make_shared<Paint>(constant_paint(vec3(1), a.coat_count));
+      std::vector<const Image8*> pointers;
+      for (const auto& im : images) pointers.push_back(&*im);
+      paint->stack_placement.wrap_u = paint->stack_placement.wrap_v = Wrap::clamp;
+      build_stack(*paint, pointers);
+      for (const int m : materials[animal]) a.materials[m].paint = static_cast<int>(a.paints.size());
+      a.paints.push_back(std::move(paint));
+      continue;
     }
     std::vector<int> coat_textures;
     for (auto& im : images) {
-      Texture t;
-      t.placement.wrap_u = t.placement.wrap_v = Wrap::clamp;
-      if (im) t.image = std::move(*im);
-      coat_textures.push_back(t.image.empty() ? -1 : pool.add(std::move(t)));
+      coat_textures.push_back(-1);
+      if (!im) continue;
+      auto t = std::make_shared<Texture>();
+      t->placement.wrap_u = t->placement.wrap_v = Wrap::clamp;
+      t->image = std::move(*im);
+      coat_textures.back() = static_cast<int>(a.textures.size());
+      a.textures.push_back(std::move(t));
     }
+    for (std::size_t m = 0; m < s.rig.materials.size(); ++m) {
+      auto paint = std::make_shared<Paint>();
+      for (int texture : coat_textures)
+        paint->coats.push_back(texture >= 0 ? Paint::PerCoat{vec3(1), texture, false}
+                                            : Paint::PerCoat{s.rig.materials[m].base_color, own_textures[animal][m], true});
+      a.materials[materials[animal][m]].paint = static_cast<int>(a.paints.size());
+      a.paints.push_back(std::move(paint));
+    }
+  }
+  if (ground_material >= 0) {
+    a.materials[ground_material].paint = static_cast<int>(a.paints.size());
+    a.paints.push_back(std::make_shared<Paint>(constant_paint(vec3(0.5f), a.coat_count)));
+  }
+  return dressed;
+}
 
+Wardrobe::~Wardrobe() = default;
+
+Wardrobe::Wardrobe(const SceneSpec& scene, const std::vector<const Species*>& species, bool with_light,
+                   StageCounts& counts)
+    : state_(new State{scene, species, counts, {}, {}, {}, {}, {}, {}, 0}) {
+  auto bare = std::make_shared<Appearance>();
+  TexturePool pool(*bare, counts);
+  std::map<const Species*, std::shared_ptr<Baker>> by_species;
+  for (std::size_t animal = 0; animal < species.size(); ++animal) {
+    const Species& s = *species[animal];
+    const AnimalSpec& spec = scene.animals[animal];
+    const bool has_uvs = !s.rig.surface.uvs.empty();
+    const bool wears_own = spec.coats.empty() || std::find(spec.coats.begin(), spec.coats.end(), "own") != spec.coats.end();
+    std::shared_ptr<Baker>& baker = by_species[&s];
+    if (!baker) baker = std::make_shared<Baker>(s, spec.species, scene.render.coat_resolution);
+    // Whatever its coats: a coat must look the same alone and beside others.
+    const bool finish = with_light && has_uvs && !find_finish(spec.species).empty();
+    if (finish && baker->normal < 0) {
+      FinishMaps maps = baker->finish();
+      ++counts.finishes;
+      const TexturePlacement clamped{Wrap::clamp, Wrap::clamp};
+      baker->normal = pool.add(Texture{std::move(maps.normal), clamped});
+      baker->roughness = pool.add(Texture{std::move(maps.roughness), clamped});
+    }
+    std::vector<int> materials;
+    std::vector<int> own;
     for (const RigMaterial& m : s.rig.materials) {
       Material out;
       out.alpha = m.alpha;
@@ -185,39 +251,56 @@ BuiltAppearance build_appearance(const SceneSpec& scene, const std::vector<const
           out.normal_texture = pool.add(s, m.normal_texture);
           out.normal_scale = m.normal_scale;
         }
-        if (finish_normal >= 0) {
+        if (finish) {
           out.roughness = 1;
           out.metallic = 0;
-          out.metallic_roughness_texture = finish_roughness;
-          out.normal_texture = finish_normal;
+          out.metallic_roughness_texture = baker->roughness;
+          out.normal_texture = baker->normal;
           out.normal_scale = 1;
         }
-        out.paint = shared_paint;
-        if (shared_paint < 0) {
-          auto paint = std::make_shared<Paint>();
-          for (int texture : coat_textures)
-            paint->coats.push_back(texture >= 0 ? Paint::PerCoat{vec3(1), texture, false}
-                                                : Paint::PerCoat{m.base_color, has_uvs ? pool.add(s, m.base_texture) : -1, true});
-          out.paint = static_cast<int>(a.paints.size());
-          a.paints.push_back(std::move(paint));
-        }
       }
-      materials.push_back(static_cast<int>(a.materials.size()));
-      a.materials.push_back(out);
+      own.push_back(with_light && wears_own && has_uvs ? pool.add(s, m.base_texture) : -1);
+      materials.push_back(static_cast<int>(bare->materials.size()));
+      bare->materials.push_back(out);
     }
-    built.materials.push_back(std::move(materials));
+    materials_.push_back(std::move(materials));
+    state_->own_textures.push_back(std::move(own));
+    state_->bakers.push_back(baker);
   }
-
   if (scene.ground.present) {
-    Material ground;
-    if (with_light) {
-      ground.paint = static_cast<int>(a.paints.size());
-      a.paints.push_back(std::make_shared<Paint>(constant_paint(vec3(0.5f), a.coat_count)));
-    }
-    built.ground_material = static_cast<int>(a.materials.size());
-    a.materials.push_back(ground);
+    ground_material_ = static_cast<int>(bare->materials.size());
+    bare->materials.push_back({});
   }
-  return built;
+  bare_ = std::move(bare);
+  if (!with_light) return;
+
+  const double memory = scene.render.memory_mb * 1e6;
+  const std::size_t n = scene.coat_indices.size();
+  const auto lanes = static_cast<std::size_t>(coats_per_batch(scene.cameras.width, scene.cameras.height, memory / 4));
+  for (std::size_t first = 0; first < n; first += lanes)
+    batches_.emplace_back(scene.coat_indices.begin() + first, scene.coat_indices.begin() + std::min(n, first + lanes));
+  double batch_bytes = 0;
+  for (const AnimalSpec& a : scene.animals)
+    batch_bytes += baked_coat_bytes(scene.render.coat_resolution) * static_cast<double>(std::min(lanes, n)) *
+                   (a.coats.empty() ? 0 : 1);
+  state_->kept.resize(batches_.size());
+  state_->in_use.resize(batches_.size());
+  state_->most_kept = static_cast<std::size_t>(std::max(1.0, memory / 2 / std::max(1.0, batch_bytes)));
+  // A lone batch is made now, so that what is wrong with a coat is said before anything is rendered.
+  dress(0);
+}
+
+std::shared_ptr<const Appearance> Wardrobe::dress(int b) const {
+  State& s = *state_;
+  std::lock_guard lock(s.mutex);
+  if (s.kept[b]) return s.kept[b];
+  if (auto alive = s.in_use[b].lock()) return alive;
+  auto made = s.make(*bare_, batches_[b], materials_, ground_material_);
+  if (static_cast<std::size_t>(b) < s.most_kept)
+    s.kept[b] = made;
+  else
+    s.in_use[b] = made;
+  return made;
 }
 
 }  // namespace moomill

@@ -8,14 +8,39 @@
 
 namespace moomill {
 
-struct BuiltAppearance {
-  std::shared_ptr<Appearance> appearance;
-  std::vector<std::vector<int>> materials;  // per animal: the rig's materials in the appearance
-  int ground_material = -1;
+// Holds what all coats share, and dresses the animals in one batch of coats after the other. Batches are runs of the
+// scene's chosen coats, of at most the 32 that are shaded at once, fewer where a view of them would take more than a
+// quarter of render.memory. Baked batches are kept while they fit into half of it; the first ones stay, later ones are
+// baked again whenever they are asked for. Neither changes a bit of any picture.
+class Wardrobe {
+ public:
+  // `species`: per animal. With light: coats and finishes; without: only what cuts holes into surfaces.
+  Wardrobe(const SceneSpec& scene, const std::vector<const Species*>& species, bool with_light, StageCounts& counts);
+  ~Wardrobe();
+
+  // What every batch has in common: materials without coats, for all that needs no light.
+  const std::shared_ptr<const Appearance>& bare() const { return bare_; }
+  const std::vector<std::vector<int>>& materials() const { return materials_; }  // per animal: the rig's, in the appearance
+  int ground_material() const { return ground_material_; }
+
+  int batches() const { return static_cast<int>(batches_.size()); }      // 0 without light
+  const std::vector<int>& batch(int b) const { return batches_[b]; }     // coat indices
+  std::shared_ptr<const Appearance> dress(int b) const;                   // thread-safe
+
+ private:
+  struct State;
+  std::vector<std::vector<int>> batches_;
+  std::shared_ptr<const Appearance> bare_;
+  std::vector<std::vector<int>> materials_;
+  int ground_material_ = -1;
+  std::unique_ptr<State> state_;
 };
 
-// `species`: per animal. With light: coats and finishes; without: only what cuts holes into surfaces.
-BuiltAppearance build_appearance(const SceneSpec& scene, const std::vector<const Species*>& species, bool with_light,
-                                 StageCounts& counts);
+// Coats shaded at once: 32, or fewer where the pictures of one view would pass `bytes`.
+int coats_per_batch(int width, int height, double bytes);
+
+// Bytes that a baked coat takes, and a coat's picture of one view while it is made.
+double baked_coat_bytes(int resolution);
+double picture_bytes(int width, int height);
 
 }  // namespace moomill

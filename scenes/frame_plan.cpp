@@ -65,7 +65,7 @@ std::vector<double> uniforms_for(const SceneSpec& scene, const AnimalSpec& spec,
       hash_identity({scene.seed, hash_text(spec.key + ".poses"), static_cast<std::uint64_t>(frame_index)});
   for (std::size_t i = 0; i < species.limits.size(); ++i)
     for (int axis = 0; axis < 3; ++axis) {
-      const double lower = species.limits[i].lower_deg[axis], upper = species.limits[i].upper_deg[axis];
+      const double lower = species.limits[i].sampled_lower()[axis], upper = species.limits[i].sampled_upper()[axis];
       const double rest = upper > lower ? std::clamp(-lower / (upper - lower), 0.0, 1.0) : 0.5;
       u.push_back(rest + spread * (to_unit(hash_identity({identity, 3 * i + axis})) - rest));
     }

@@ -74,14 +74,29 @@ void generate(const SceneSpec& scene, const GenerateOptions& options) {
                // A stop takes effect at the next view: the frame stays unfinished, and a rerun makes it anew.
                const auto stopping = [&] { return options.stop && options.stop->load(); };
                std::atomic<bool> whole{true};
-               parallel_for(frame->cameras.size(), 1, [&](std::size_t c) {
-                 if (stopping()) {
-                   whole = false;
-                   return;
-                 }
-                 writer.write_view(mill.trace(*frame, frame->cameras[c]));
-                 tell("rendering", std::max<std::size_t>(1, manifest.coat_indices.size()));
+               const auto for_cameras = [&](const auto& write) {
+                 parallel_for(frame->cameras.size(), 1, [&](std::size_t c) {
+                   if (stopping())
+                     whole = false;
+                   else
+                     write(frame->cameras[c]);
+                 });
+               };
+               // Labels once, with the first batch of coats; the others batch by batch, so that only one is in memory.
+               std::shared_ptr<const Dressed> dressed = mill.batches() > 0 ? mill.dress(*frame, 0) : nullptr;
+               for_cameras([&](const CameraRecord& camera) {
+                 writer.write_view(mill.trace_labels(*frame, camera));
+                 if (dressed) writer.write_pictures(mill.trace_coats(*frame, camera, *dressed));
+                 tell("rendering", dressed ? dressed->coats.size() : std::max<std::size_t>(1, manifest.coat_indices.size()));
                });
+               for (int b = 1; b < mill.batches() && whole; ++b) {
+                 dressed.reset();
+                 dressed = mill.dress(*frame, b);
+                 for_cameras([&](const CameraRecord& camera) {
+                   writer.write_pictures(mill.trace_coats(*frame, camera, *dressed));
+                   tell("rendering", dressed->coats.size());
+                 });
+               }
                if (!whole) return;
                writer.finish_frame(mill.record(*frame));
                ++frames_done;

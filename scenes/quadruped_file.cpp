@@ -51,6 +51,8 @@ Solid read_solid(TomlReader r) {
   return s;
 }
 
+}  // namespace
+
 LegSpec read_leg(TomlReader r) {
   LegSpec l;
   l.blade = r.text("blade", "");
@@ -60,12 +62,11 @@ LegSpec read_leg(TomlReader r) {
   l.pastern = r.text("pastern");
   l.foot = r.text("foot");
   l.couple = r.number("couple", 0, -4, 4);
+  l.blade_share = r.number("blade_share", l.blade_share, 0, 1);
   l.mirror = r.boolean("mirror", true);
   r.finish();
   return l;
 }
-
-}  // namespace
 
 QuadrupedSpec read_quadruped(TomlReader r) {
   QuadrupedSpec spec;

@@ -9,6 +9,7 @@
 #include "generator/render/labels.h"
 #include "generator/render/path.h"
 #include "scenes/appearance.h"
+#include "scenes/breed_file.h"
 
 namespace moomill {
 namespace {
@@ -63,7 +64,7 @@ struct Mill::Loaded {
   std::vector<std::unique_ptr<Species>> species;  // distinct
   std::vector<const Species*> of_animal;
   std::vector<std::vector<dmat4>> neutral_world;  // per animal
-  BuiltAppearance appearance;
+  std::unique_ptr<Wardrobe> wardrobe;
   Surface ground;
   bool traces = false;  // whether any ray is traced at all
   FileCache<Environment> environments;
@@ -92,7 +93,7 @@ Mill::Mill(SceneSpec spec) : spec_(std::move(spec)), loaded_(std::make_unique<Lo
   if (m.has(Modality::uv) && species(0).rig.surface.uvs.empty())
     input_error("{}: the modality uv is asked for, but {} has no UVs; leave it out or give the rig UVs", spec_.file, species(0).rig.source);
   l.traces = m.any(&ModalityRow::needs_first_hit) || m.has(Modality::rgb) || m.has(Modality::coverage) || m.has(Modality::keypoints);
-  l.appearance = build_appearance(spec_, l.of_animal, m.has(Modality::rgb), counts_);
+  l.wardrobe = std::make_unique<Wardrobe>(spec_, l.of_animal, m.has(Modality::rgb), counts_);
   if (spec_.ground.present) l.ground = ground_surface(spec_.ground.size);
 }
 
@@ -117,14 +118,21 @@ Manifest Mill::manifest() const {
     if (!spec_.modalities.has(Modality::rgb)) continue;
     if (const auto file = find_finish(a.species); !file.empty())
       m.scene["file_hashes"][fmt::format("finish of {}", a.species)] = hash(file);
-    for (const std::string& coat : a.coats)
-      if (const auto file = find_coat(coat, a.species, folder); !file.empty()) m.scene["file_hashes"][coat] = hash(file);
+    for (std::size_t i = 0; i < a.coats.size(); ++i) {
+      const Individual* one = a.individual(i);
+      const std::string key = one ? "breed " + one->breed : a.coats[i];
+      if (m.scene["file_hashes"].contains(key)) continue;
+      const auto file = one ? find_breed(one->breed, find_species(a.species, folder).stem().string(), folder)
+                            : find_coat(a.coats[i], a.species, folder);
+      if (!file.empty()) m.scene["file_hashes"][key] = hash(file);
+    }
   }
   m.per_frame_cameras = cameras_vary(spec_);
   m.cameras = cameras_of_frame(spec_, spec_.frames.empty() ? spec_.first_frame : spec_.frames.front());
   m.coats = spec_.animals[0].coats;
   if (m.coats.empty()) m.coats = {"own"};
   m.coat_indices = spec_.coat_indices;
+  m.individuals = spec_.animals[0].individuals;
   for (int a = 0; a < animals(); ++a) {
     m.animals.push_back(species(a).name);
     m.rig_files.push_back(fmt::format("rigs/{}.glb", a));
@@ -170,8 +178,7 @@ Frame Mill::prepare(int frame) const {
   // A rigid scene, or one pose for many frames: nothing to skin or build again.
   {
     std::lock_guard lock(mutex_);
-    if (last_geometry_ && last_geometry_->bones == g->bones && last_geometry_->morph_weights == g->morph_weights &&
-        spec_.ground.color.is_constant() && spec_.ground.roughness.is_constant()) {
+    if (last_geometry_ && last_geometry_->bones == g->bones && last_geometry_->morph_weights == g->morph_weights) {
       f.geometry = last_geometry_;
       return f;
     }
@@ -181,7 +188,7 @@ Frame Mill::prepare(int frame) const {
   const dmat4& first = g->placement[0];
   scene.origin = glm::round(dvec3(first[3]));
   scene.animal_count = animals();
-  scene.appearance = l.appearance.appearance;
+  scene.appearance = l.wardrobe->bare();
   for (int a = 0; a < animals(); ++a) {
     const Species& s = species(a);
     Instance in;
@@ -198,7 +205,7 @@ Frame Mill::prepare(int frame) const {
     if (!finite || !(size > 1e-3 * neutral) || !(size < 1e3 * neutral))
       input_error("{}: frame {} tears or flattens {} ({:.3g} m across, {:.3g} m in the neutral pose); look at its clip or pose file",
                   spec_.file, frame, s.name, size, neutral);
-    in.materials = l.appearance.materials[a];
+    in.materials = l.wardrobe->materials()[a];
     in.animal = a;
     g->keypoints.push_back(keypoint_positions(s, world[a], l.neutral_world[a], in.posed));
     scene.instances.push_back(std::move(in));
@@ -209,17 +216,8 @@ Frame Mill::prepare(int frame) const {
     in.posed.origin = scene.origin;
     for (const vec3& p : l.ground.rest) in.posed.positions.push_back(vec3(dvec3(p) - dvec3(0, 0, scene.origin.z)));
     in.posed.normals = l.ground.normals;
-    in.materials = {l.appearance.ground_material};
+    in.materials = {l.wardrobe->ground_material()};
     scene.instances.push_back(std::move(in));
-    if (l.appearance.appearance->coat_count > 0) {  // colour and roughness may be drawn per frame
-      auto a = std::make_shared<Appearance>(*l.appearance.appearance);
-      Material& m = a->materials[l.appearance.ground_material];
-      m.roughness = static_cast<float>(draw_number(spec_.ground.roughness, spec_.seed, frame, 0));
-      auto paint = std::make_shared<Paint>();
-      paint->coats.assign(a->coat_count, {vec3(draw_vector(spec_.ground.color, spec_.seed, frame, 0)), -1, false});
-      a->paints[m.paint] = std::move(paint);
-      scene.appearance = std::move(a);
-    }
   }
   if (l.traces) {
     g->accel = std::make_unique<Accel>(scene);
@@ -315,7 +313,7 @@ void Mill::composite(View& view, const CameraRecord& camera) const {
   }
 }
 
-View Mill::trace(const Frame& frame, const CameraRecord& record) const {
+View Mill::trace_labels(const Frame& frame, const CameraRecord& record) const {
   set_float_state();
   const FrameGeometry& g = *frame.geometry;
   const Camera camera = to_camera(record);
@@ -359,30 +357,70 @@ View Mill::trace(const Frame& frame, const CameraRecord& record) const {
       view.keypoints.push_back(std::move(seen));
     }
   }
-  if (wanted.has(Modality::rgb)) {
-    ++counts_.radiance;
-    PathOptions options;
-    options.samples = spec_.render.samples;
-    options.max_bounces = spec_.render.max_bounces;
-    options.filter_radius = spec_.render.filter_radius;
-    options.environment_visible = spec_.background.kind == BackgroundSpec::Kind::environment;
-    options.stream = stream_of(spec_, frame.number, record.id, Stream::light);
-    PixelMask mask;
-    if (options.environment_visible || spec_.ground.present) {  // something may be seen in every pixel
-      mask = PixelMask(camera.width, camera.height);
-      mask.fill();
-    } else {
-      mask = footprint(scene, camera, options.filter_radius);
-    }
-    Radiance radiance = trace_radiance(scene, lights(frame, record), accel, camera, mask, options);
-    for (std::size_t t = 0; t < radiance.coats.size(); ++t) {
-      Map map;
-      map.modality = Modality::rgb;
-      map.coat = spec_.coat_indices[t];
-      map.f = std::move(radiance.coats[t]);
-      view.maps.push_back(std::move(map));
-    }
-    composite(view, record);
+  return view;
+}
+
+int Mill::batches() const { return loaded_->wardrobe->batches(); }
+
+std::shared_ptr<const Dressed> Mill::dress(const Frame& frame, int batch) const {
+  const Wardrobe& wardrobe = *loaded_->wardrobe;
+  auto out = std::make_shared<Dressed>();
+  out->scene = frame.geometry->scene;
+  out->scene.appearance = wardrobe.dress(batch);
+  out->coats = wardrobe.batch(batch);
+  if (spec_.ground.present) {  // colour and roughness may be drawn per frame
+    auto a = std::make_shared<Appearance>(*out->scene.appearance);
+    Material& m = a->materials[wardrobe.ground_material()];
+    m.roughness = static_cast<float>(draw_number(spec_.ground.roughness, spec_.seed, frame.number, 0));
+    auto paint = std::make_shared<Paint>();
+    paint->coats.assign(a->coat_count, {vec3(draw_vector(spec_.ground.color, spec_.seed, frame.number, 0)), -1, false});
+    a->paints[m.paint] = std::move(paint);
+    out->scene.appearance = std::move(a);
+  }
+  return out;
+}
+
+View Mill::trace_coats(const Frame& frame, const CameraRecord& record, const Dressed& dressed) const {
+  set_float_state();
+  ++counts_.radiance;
+  const Camera camera = to_camera(record);
+  View view;
+  view.frame = frame.number;
+  view.camera = record.id;
+  view.width = record.width;
+  view.height = record.height;
+  PathOptions options;
+  options.samples = spec_.render.samples;
+  options.max_bounces = spec_.render.max_bounces;
+  options.filter_radius = spec_.render.filter_radius;
+  options.environment_visible = spec_.background.kind == BackgroundSpec::Kind::environment;
+  options.stream = stream_of(spec_, frame.number, record.id, Stream::light);
+  PixelMask mask;
+  if (options.environment_visible || spec_.ground.present) {  // something may be seen in every pixel
+    mask = PixelMask(camera.width, camera.height);
+    mask.fill();
+  } else {
+    mask = footprint(dressed.scene, camera, options.filter_radius);
+  }
+  Radiance radiance = trace_radiance(dressed.scene, lights(frame, record), *frame.geometry->accel, camera, mask, options);
+  for (std::size_t t = 0; t < radiance.coats.size(); ++t) {
+    Map map;
+    map.modality = Modality::rgb;
+    map.coat = dressed.coats[t];
+    map.f = std::move(radiance.coats[t]);
+    view.maps.push_back(std::move(map));
+  }
+  composite(view, record);
+  return view;
+}
+
+View Mill::trace(const Frame& frame, const CameraRecord& camera) const {
+  View view = trace_labels(frame, camera);
+  if (!frame.geometry->accel) return view;
+  for (int b = 0; b < batches(); ++b) {
+    View pictures = trace_coats(frame, camera, *dress(frame, b));
+    view.background = pictures.background;
+    std::move(pictures.maps.begin(), pictures.maps.end(), std::back_inserter(view.maps));
   }
   return view;
 }

@@ -35,6 +35,12 @@ struct Frame {
   std::vector<CameraRecord> cameras;
 };
 
+// A frame's animals in one batch of coats.
+struct Dressed {
+  Scene scene;
+  std::vector<int> coats;  // indices
+};
+
 class Mill {
  public:
   // Loads species, coats and textures as far as the scene's modalities want them. InputError on anything unusable.
@@ -47,7 +53,13 @@ class Mill {
   int animals() const { return static_cast<int>(spec_.animals.size()); }
 
   Frame prepare(int frame) const;                                  // thread-safe
-  View trace(const Frame& frame, const CameraRecord& camera) const;  // thread-safe
+  View trace(const Frame& frame, const CameraRecord& camera) const;  // all of a view; thread-safe
+  // The same in parts, for more coats than fit into memory at once: the labels, and the pictures of one batch of coats
+  // after the other. A coat's picture is the same in any batch.
+  int batches() const;  // of coats; 0 where no light is asked for
+  std::shared_ptr<const Dressed> dress(const Frame& frame, int batch) const;            // thread-safe
+  View trace_labels(const Frame& frame, const CameraRecord& camera) const;              // thread-safe
+  View trace_coats(const Frame& frame, const CameraRecord& camera, const Dressed& dressed) const;  // thread-safe
   FrameRecord record(const Frame& frame) const;
   const StageCounts& counts() const { return counts_; }
 

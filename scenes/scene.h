@@ -67,6 +67,12 @@ struct AnimalSpec {
   // Names (textures/<species>/<name>.toml), image files, or "own". Animals after the first have one coat (worn beside
   // every coat of the first) or as many as the first (worn index by index).
   std::vector<std::string> coats;
+  // By coat, those drawn from a breed ({breed = "holstein", count = 1000, seed = 7}); empty where none is. Their names are
+  // those of individuals ("holstein_000007").
+  std::vector<std::optional<Individual>> individuals;
+  const Individual* individual(std::size_t coat) const {
+    return coat < individuals.size() && individuals[coat] ? &*individuals[coat] : nullptr;
+  }
   std::vector<PoseSource> poses;  // in order; frame f takes the f-th pose; a single pose holds for all frames
   Distribution position;          // metres, on the ground
   Distribution yaw_deg;
@@ -127,6 +133,9 @@ struct RenderSpec {
   int max_bounces = 0;         // 0: no cap, unbiased (Russian roulette ends paths)
   double filter_radius = 1.5;  // pixels
   int coat_resolution = 2048;
+  // What baked coats and pictures in the making may take together, in MB (1e6 bytes). Coats that do not fit at once are
+  // baked again for every frame; no picture depends on it, so it is not part of what a dataset is.
+  double memory_mb = 2000;
 };
 
 struct SceneSpec {

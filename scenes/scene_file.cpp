@@ -5,6 +5,7 @@
 #include <set>
 #include <sstream>
 
+#include "scenes/breed_file.h"
 #include "scenes/read_distribution.h"
 #include "scenes/scene.h"
 #include "scenes/toml.h"
@@ -17,6 +18,7 @@ using Kind = Quantity::Kind;
 
 constexpr int most_frames = 10'000'000;
 constexpr int default_pose_count = 10;
+constexpr int most_individuals = 1'000'000;
 
 constexpr Quantity length{Kind::vector, -1e5, 1e5};
 constexpr Quantity positive_length{Kind::number, 1e-3, 1e5};
@@ -85,15 +87,15 @@ class SceneReader {
     is_species_file_.push_back(file.extension() == ".toml");
     const std::string name = file.stem().string();
     if (t.has("coats")) {
-      a.coats = t.texts("coats");
-      if (a.coats.empty()) t.fail("coats", "must name at least one, e.g. [\"own\"]");
+      read_coats(t, a, name);
     } else {
       a.coats = shipped_coats(name);
       // Beside the first animal's coats one is enough.
       if (a.coats.empty()) a.coats = {"own"};
       if (index > 0) a.coats.resize(1);
     }
-    for (const std::string& coat : a.coats) t.at_key("coats", [&] { return find_coat(coat, name, folder_); });
+    for (std::size_t i = 0; i < a.coats.size(); ++i)
+      if (!a.individual(i)) t.at_key("coats", [&] { return find_coat(a.coats[i], name, folder_); });
     if (index > 0 && a.coats.size() != 1 && a.coats.size() != scene_.animals[0].coats.size())
       t.fail("coats", fmt::format("must name one coat, or as many as the first animal has ({}), not {}",
                                   scene_.animals[0].coats.size(), a.coats.size()));
@@ -105,6 +107,59 @@ class SceneReader {
     a.pose_in_place = t.boolean("pose_in_place", true);
     t.finish();
     scene_.animals.push_back(std::move(a));
+  }
+
+  // Names, {breed, count, seed, first} tables, or a list of both.
+  void read_coats(TomlReader& t, AnimalSpec& a, const std::string& species) {
+    const toml::node& node = *t.node("coats");
+    const auto take = [&](const toml::node& entry) {
+      if (const toml::table* herd = entry.as_table()) {
+        read_herd(TomlReader(*herd, t.file(), t.path_of("coats")), a, species);
+        return;
+      }
+      if (!entry.is_string() || entry.as_string()->get().empty())
+        t.fail("coats", fmt::format("must hold names and tables such as {{breed = \"holstein\", count = 100}}, not {}",
+                                    describe_node(entry)));
+      a.coats.push_back(entry.as_string()->get());
+    };
+    if (const toml::array* list = node.as_array())
+      for (const toml::node& entry : *list) take(entry);
+    else if (node.is_table())
+      take(node);
+    else
+      t.fail("coats", fmt::format("must be a list of names, or a table such as {{breed = \"holstein\", count = 100}}, not {}",
+                                  describe_node(node)));
+    if (a.coats.empty()) t.fail("coats", "must name at least one, e.g. [\"own\"]");
+    if (!a.individuals.empty()) a.individuals.resize(a.coats.size());
+  }
+
+  void read_herd(TomlReader t, AnimalSpec& a, const std::string& species) {
+    Individual one;
+    one.breed = t.text("breed");
+    if (!t.has("count")) t.missing("count", "count = 100");
+    const auto count = t.integer("count", 1, 1, most_individuals);
+    one.seed = static_cast<std::uint64_t>(t.integer("seed", 0, 0, std::numeric_limits<std::int64_t>::max()));
+    const auto first = t.integer("first", 0, 0, most_individuals);
+    t.finish();
+    const Breed breed = t.at_key("breed", [&] { return read_breed(one.breed, species, folder_); });
+    if (a.coats.size() + static_cast<std::size_t>(count) > most_individuals)
+      t.fail("count", fmt::format("makes more than {} coats in one scene; split it", most_individuals));
+    a.individuals.resize(a.coats.size());
+    // Herds of another seed are other animals: their names say so, as long as one herd of the breed came before.
+    const bool another = std::any_of(a.individuals.begin(), a.individuals.end(), [&](const auto& other) {
+      return other && other->breed == one.breed && other->seed != one.seed;
+    });
+    const std::string herd = another ? fmt::format("{}_seed{}", breed.name, one.seed) : breed.name;
+    std::set<std::string> known(a.coats.begin(), a.coats.end());
+    for (std::int64_t i = 0; i < count; ++i) {
+      one.index = static_cast<int>(first + i);
+      const std::string name = individual_name(herd, one.index);
+      if (!known.insert(name).second)
+        t.fail("breed", fmt::format("gives {} a second time; begin another herd with first = {} or another seed", name,
+                                    first + count));
+      a.coats.push_back(name);
+      a.individuals.push_back(one);
+    }
   }
 
   PoseSource read_pose_source(TomlReader& t) {
@@ -431,6 +486,7 @@ class SceneReader {
     r.samples = static_cast<int>(t->integer("samples", r.samples, 1, largest_samples));
     r.max_bounces = static_cast<int>(t->integer("max_bounces", r.max_bounces, 0, 1000));
     r.filter_radius = t->number("filter_radius", r.filter_radius, 0.5, 8);
+    r.memory_mb = t->number("memory_mb", r.memory_mb, 64, 1e7);
     r.coat_resolution = static_cast<int>(t->integer("coat_resolution", r.coat_resolution, 16, 16384));
     t->finish();
   }

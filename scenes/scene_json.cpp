@@ -53,13 +53,32 @@ Json to_json(const PoseSource& source) {
   return {{"random", sampler.count}, {"spread", sampler.spread}};
 }
 
+// Runs of individuals as the tables they were asked for by.
+Json coats_to_json(const AnimalSpec& a) {
+  Json out = Json::array();
+  for (std::size_t i = 0; i < a.coats.size(); ++i) {
+    const Individual* one = a.individual(i);
+    if (!one) {
+      out.push_back(portable_path(a.coats[i]));
+      continue;
+    }
+    int count = 1;
+    while (const Individual* next = a.individual(i + count)) {
+      if (next->breed != one->breed || next->seed != one->seed || next->index != one->index + count) break;
+      ++count;
+    }
+    out.push_back({{"breed", portable_path(one->breed)}, {"seed", one->seed}, {"first", one->index}, {"count", count}});
+    i += static_cast<std::size_t>(count) - 1;
+  }
+  return out;
+}
+
 Json to_json(const AnimalSpec& a) {
   Json out{{"species", portable_path(a.species)},
            {"position", to_json(a.position)},
            {"yaw_deg", to_json(a.yaw_deg)},
            {"pose_in_place", a.pose_in_place}};
-  out["coats"] = Json::array();
-  for (const std::string& c : a.coats) out["coats"].push_back(portable_path(c));
+  out["coats"] = coats_to_json(a);
   out["poses"] = Json::array();
   for (const PoseSource& p : a.poses) out["poses"].push_back(to_json(p));
   return out;

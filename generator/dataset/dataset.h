@@ -5,6 +5,7 @@
 #include <map>
 #include <memory>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -26,6 +27,14 @@ struct CameraRecord {
   double fx = 0, fy = 0, cx = 0, cy = 0;  // pixels
 };
 
+// Who wears a coat, where it was drawn from a breed rather than made by hand: what tells animals apart.
+struct Individual {
+  std::string breed;
+  std::uint64_t seed = 0;
+  int index = 0;
+  bool operator==(const Individual&) const = default;
+};
+
 enum class Subset { main, novel_views, occlusions };
 
 // Everything that is the same for all frames of a dataset. Goes into manifest.json.
@@ -37,6 +46,7 @@ struct Manifest {
   std::vector<CameraRecord> cameras;  // when per_frame_cameras is false
   bool per_frame_cameras = false;     // cameras drawn per frame or view are in the frame records instead
   std::vector<std::string> coats;     // names by index
+  std::vector<std::optional<Individual>> individuals;  // by coat index; empty where no coat is drawn from a breed
   std::vector<int> coat_indices;      // which of them this dataset holds (all, unless --coats)
   std::vector<std::string> animals;   // species per animal; the labelled one is the first
   std::vector<std::string> keypoint_names;
@@ -126,6 +136,7 @@ class DatasetWriter {
   void write_rig(int animal,
                  const std::function<void(const std::filesystem::path&)>& make);  // make() writes the .glb there
   void write_view(const View& view);      // thread-safe; encodes and writes every file of the view, keeps its record
+  void write_pictures(const View& view);  // thread-safe; further maps of a view, which keep no record of their own
   void finish_frame(const FrameRecord&);  // thread-safe; after all its views: record, then journal line
   void adopt_frame(int frame, const std::string& record);  // thread-safe; for merging: its files are in place already
   void finish();  // keypoints.csv, parameters.cfg, manifest; removes the journal

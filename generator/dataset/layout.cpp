@@ -27,8 +27,13 @@ std::string plain_name(std::string name) {
   return name.empty() || name.front() == '.' ? "coat" + name : name;
 }
 
+bool is_individual(const Manifest& m, int coat) {
+  return coat >= 0 && coat < static_cast<int>(m.individuals.size()) && m.individuals[coat];
+}
+
+// Individuals of a breed have folders of their own name, whatever their index: the public loader knows none of them.
 std::string coat_name(const Manifest& m, int coat) {
-  if (is_cow(m) && coat >= 0 && coat < static_cast<int>(cow_coats.size())) return cow_coats[coat];
+  if (is_cow(m) && !is_individual(m, coat) && coat >= 0 && coat < static_cast<int>(cow_coats.size())) return cow_coats[coat];
   if (coat >= 0 && coat < static_cast<int>(m.coats.size())) return plain_name(m.coats[coat]);
   return fmt::format("coat{}", std::max(coat, 0));
 }
@@ -77,9 +82,10 @@ std::string coat_folder(const Manifest& m, int coat) {
     return m.coat_indices.size() > 1 ? occlusions_folder(m) + "/" + coat_name(m, coat) : occlusions_folder(m);
   const bool novel = m.subset == Subset::novel_views;
   if (is_cow(m)) {
+    const bool limousine = coat == cow_limousine && !is_individual(m, coat);
     if (novel)
-      return fmt::format("{}/{}", cow_new_cameras, coat == cow_limousine ? "Cow_Limousine.tif" : coat_name(m, coat));
-    if (coat == cow_limousine) return "cow_animation_Limousine.blend";
+      return fmt::format("{}/{}", cow_new_cameras, limousine ? "Cow_Limousine.tif" : coat_name(m, coat));
+    if (limousine) return "cow_animation_Limousine.blend";
     return "cow_animation_alltextures.blend/" + coat_name(m, coat);
   }
   return fmt::format("{}_animation_alltextures{}/{}", m.species, novel ? "_newcameras" : "", coat_name(m, coat));

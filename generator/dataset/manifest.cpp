@@ -112,6 +112,13 @@ Json manifest_identity(const Manifest& m) {
   json["per_frame_cameras"] = m.per_frame_cameras;
   json["coats"] = m.coats;
   json["coat_indices"] = m.coat_indices;
+  if (!m.individuals.empty()) {
+    Json list = Json::array();
+    for (std::size_t i = 0; i < m.individuals.size(); ++i)
+      if (const auto& one = m.individuals[i])
+        list.push_back({{"coat", i}, {"breed", one->breed}, {"seed", one->seed}, {"index", one->index}});
+    json["individuals"] = list;
+  }
   json["animals"] = m.animals;
   json["labelled_animal"] = labelled_animal;
   json["keypoints"] = {{"names", m.keypoint_names},
@@ -167,6 +174,16 @@ Manifest manifest_from_json(const Json& json, const std::string& file) {
     m.per_frame_cameras = at("per_frame_cameras").get<bool>();
     m.coats = at("coats").get<std::vector<std::string>>();
     m.coat_indices = at("coat_indices").get<std::vector<int>>();
+    if (json.contains("individuals")) {
+      m.individuals.resize(m.coats.size());
+      for (const Json& one : at("individuals")) {
+        const int coat = one.at("coat").get<int>();
+        if (coat < 0 || coat >= static_cast<int>(m.coats.size()))
+          input_error("{}: \"individuals\" names coat {} of {}; make the dataset anew", file, coat, m.coats.size());
+        m.individuals[coat] = Individual{one.at("breed").get<std::string>(), one.at("seed").get<std::uint64_t>(),
+                                         one.at("index").get<int>()};
+      }
+    }
     m.animals = at("animals").get<std::vector<std::string>>();
     const Json& keypoints = at("keypoints");
     m.keypoint_names = keypoints.at("names").get<std::vector<std::string>>();

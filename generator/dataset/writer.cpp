@@ -175,7 +175,7 @@ void DatasetWriter::write_rig(int animal, const std::function<void(const fs::pat
   make_file_atomically(state_->folder / rig_path(state_->manifest, animal), make);
 }
 
-void DatasetWriter::write_view(const View& view) {
+void DatasetWriter::write_pictures(const View& view) {
   State& s = *state_;
   std::vector<std::vector<std::pair<std::string, FileRecord>>> written(view.maps.size());
   parallel_for(view.maps.size(), 1, [&](std::size_t i) {
@@ -186,6 +186,16 @@ void DatasetWriter::write_view(const View& view) {
                               FileRecord{file.bytes.size(), xxh64_hex(file.bytes.data(), file.bytes.size())});
     }
   });
+  std::lock_guard lock(s.mutex);
+  StoredFrame& frame = s.open[view.frame];
+  for (const auto& files : written)
+    for (const auto& [path, file] : files)
+      check(frame.files.emplace(path, file).second, "a file was written twice in one frame");
+}
+
+void DatasetWriter::write_view(const View& view) {
+  State& s = *state_;
+  write_pictures(view);
   View kept;
   kept.frame = view.frame;
   kept.camera = view.camera;
@@ -194,11 +204,7 @@ void DatasetWriter::write_view(const View& view) {
   kept.keypoints = view.keypoints;
   kept.occlusion = view.occlusion;
   std::lock_guard lock(s.mutex);
-  StoredFrame& frame = s.open[view.frame];
-  for (const auto& files : written)
-    for (const auto& [path, file] : files)
-      check(frame.files.emplace(path, file).second, "a file was written twice in one frame");
-  frame.views.push_back(std::move(kept));
+  s.open[view.frame].views.push_back(std::move(kept));
 }
 
 void DatasetWriter::finish_frame(const FrameRecord& record) {
