@@ -109,7 +109,7 @@ struct Wardrobe::State {
   std::vector<const Species*> species;
   StageCounts& counts;
   std::mutex mutex;
-  std::vector<std::shared_ptr<Baker>> bakers;  // per animal; animals of a species share theirs
+  std::vector<std::shared_ptr<Baker>> bakers;  // per animal; those of one species share theirs
   std::map<std::string, Breed> breeds;
   std::vector<std::vector<int>> own_textures;          // per animal, per rig material: its own base texture
   std::vector<std::shared_ptr<const Appearance>> kept;      // per batch
@@ -217,25 +217,25 @@ Wardrobe::Wardrobe(const SceneSpec& scene, const std::vector<const Species*>& sp
     : state_(new State{scene, species, counts, {}, {}, {}, {}, {}, {}, 0}) {
   auto bare = std::make_shared<Appearance>();
   TexturePool pool(*bare, counts);
+  std::map<const Species*, std::shared_ptr<Baker>> by_species;
   for (std::size_t animal = 0; animal < species.size(); ++animal) {
     const Species& s = *species[animal];
     const AnimalSpec& spec = scene.animals[animal];
     const bool has_uvs = !s.rig.surface.uvs.empty();
     const bool wears_own = spec.coats.empty() || std::find(spec.coats.begin(), spec.coats.end(), "own") != spec.coats.end();
-    std::vector<int> materials;
-    std::vector<int> own;
-    const auto twin = std::find(species.begin(), species.begin() + static_cast<std::ptrdiff_t>(animal), &s);
-    state_->bakers.push_back(twin != species.begin() + static_cast<std::ptrdiff_t>(animal)
-                                 ? state_->bakers[static_cast<std::size_t>(twin - species.begin())]
-                                 : std::make_shared<Baker>(s, spec.species, scene.render.coat_resolution));
+    std::shared_ptr<Baker>& baker = by_species[&s];
+    if (!baker) baker = std::make_shared<Baker>(s, spec.species, scene.render.coat_resolution);
     // Whatever its coats: a coat must look the same alone and beside others.
-    if (Baker& baker = *state_->bakers.back(); with_light && has_uvs && baker.normal < 0 && !find_finish(spec.species).empty()) {
-      FinishMaps maps = baker.finish();
+    const bool finish = with_light && has_uvs && !find_finish(spec.species).empty();
+    if (finish && baker->normal < 0) {
+      FinishMaps maps = baker->finish();
       ++counts.finishes;
       const TexturePlacement clamped{Wrap::clamp, Wrap::clamp};
-      baker.normal = pool.add(Texture{std::move(maps.normal), clamped});
-      baker.roughness = pool.add(Texture{std::move(maps.roughness), clamped});
+      baker->normal = pool.add(Texture{std::move(maps.normal), clamped});
+      baker->roughness = pool.add(Texture{std::move(maps.roughness), clamped});
     }
+    std::vector<int> materials;
+    std::vector<int> own;
     for (const RigMaterial& m : s.rig.materials) {
       Material out;
       out.alpha = m.alpha;
@@ -251,11 +251,11 @@ Wardrobe::Wardrobe(const SceneSpec& scene, const std::vector<const Species*>& sp
           out.normal_texture = pool.add(s, m.normal_texture);
           out.normal_scale = m.normal_scale;
         }
-        if (state_->bakers.back()->normal >= 0) {
+        if (finish) {
           out.roughness = 1;
           out.metallic = 0;
-          out.metallic_roughness_texture = state_->bakers.back()->roughness;
-          out.normal_texture = state_->bakers.back()->normal;
+          out.metallic_roughness_texture = baker->roughness;
+          out.normal_texture = baker->normal;
           out.normal_scale = 1;
         }
       }
@@ -265,6 +265,7 @@ Wardrobe::Wardrobe(const SceneSpec& scene, const std::vector<const Species*>& sp
     }
     materials_.push_back(std::move(materials));
     state_->own_textures.push_back(std::move(own));
+    state_->bakers.push_back(baker);
   }
   if (scene.ground.present) {
     ground_material_ = static_cast<int>(bare->materials.size());
