@@ -6,6 +6,7 @@
 #include <cstring>
 
 #include "generator/core/parallel.h"
+#include "generator/dataset/reader.h"
 #include "scenes/appearance.h"
 #include "scenes/breed_file.h"
 #include "scenes/generate.h"
