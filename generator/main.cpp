@@ -188,6 +188,14 @@ int run(int argc, char** argv) {
   c->add_option("--against", compare.reference, "reference, as in validate/silhouettes")->required()->type_name("FILE.toml");
   c->add_option("-o,--out", compare.out, "folder for figures and pictures")->required()->type_name("DIR");
 
+  int motion_samples = 200;
+  c = add_command(*rig, "motion", "How well clips move: feet, slip, limits; of a scene also its poses; exit 1 when a bound is missed",
+                  "moomill rig motion scenes/nepumoo.toml -o out/motion", status,
+                  [&] { return run_rig_motion(rig_name, motion_samples, rig_out); });
+  c->add_option("source", rig_name, "scene file, rig file, species file or species name")->required()->type_name("SCENE|RIG");
+  c->add_option("-o,--out", rig_out, "folder for summary.json and table.md")->type_name("DIR");
+  c->add_option("--samples", motion_samples, "per clip")->type_name("N")->check(CLI::Range(2, 100000));
+
   std::string deform_scene;
   SceneOptions deform_options;
   c = add_command(*rig, "deform", "How well the skin holds in the poses of a scene; exit 1 when a bound is missed",

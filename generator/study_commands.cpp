@@ -4,6 +4,7 @@
 #include "generator/dataset/codecs.h"
 #include "scenes/scene.h"
 #include "validate/studies/deformation.h"
+#include "validate/studies/motion.h"
 #include "validate/studies/silhouette.h"
 #include "validate/studies/study.h"
 
@@ -44,6 +45,15 @@ int run_rig_deform(const std::string& file, const SceneOptions& options, const s
   for (const int frame : scene.frames)
     poses.push_back(pose_of_frame(scene, scene.animals[0], species, frame - scene.first_frame));
   return finish_study(study_deformation(species, poses, scene.frames.front()), folder);
+}
+
+int run_rig_motion(const std::string& source, int samples, const std::string& folder) {
+  const MotionOptions options{samples};
+  const bool is_scene = fs::path(source).extension() == ".toml" && fs::is_regular_file(source) && is_scene_file(source);
+  if (!is_scene) return finish_study(study_motion(read_species(source, NnopcsNormalization::box, {}), options), folder);
+  const SceneSpec scene = read_scene(source);
+  const Species species = read_species(scene.animals[0].species, scene.normalization, fs::path(scene.file).parent_path());
+  return finish_study(study_motion(scene, species, options), folder);
 }
 
 }  // namespace moomill

@@ -161,10 +161,10 @@ void expand(const EyePart& e, const PartSpec& part, Body& body) {
   body.add(ellipsoid(lid, at - n * sunk, along, n, {1.34 * a, sunk + e.bulge, 1.55 * b}));
   const Look slot{part.name + " slot", "", part.joint, 0.0035, body.detail(0.09 * e.length)};
   Solid cut = solid(slot, above, Solid::Kind::carve);
-  const double floor = 0.30 * e.length;
-  for (const double depth : {floor - e.bulge, 0.0, -2 * e.bulge})
-    section(cut, slot, at - n * depth, a * (depth < 0 ? 1.15 : 1.0), b * (depth < 0 ? 1.2 : 1.0),
-            b * (depth < 0 ? 1.2 : 1.0));
+  for (const double t : {0.0, 0.5, 1.0}) {  // from the floor of the slot to well outside, a little wider there
+    const double out = e.bulge - 0.30 * e.length + t * (0.30 * e.length + e.bulge), wide = 1 + 0.15 * t * t;
+    section(cut, slot, at + n * out, a * wide, b * wide, b * wide);
+  }
   cut.cap_start = 0.002, cut.cap_end = 0.02;
   body.add(cut);
   const Look ball{part.name, "eye_l", part.joint, 0.002, body.detail(0.09 * e.length)};

@@ -2,10 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
 
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
+#include "rigs/quadruped_check.h"
 #include "rigs/remesh.h"
 #include "rigs/skin_weights.h"
 #include "rigs/solids.h"
@@ -18,36 +18,17 @@ namespace {
 // Cells along the longest side of the body that weights diffuse on.
 constexpr double weight_cells = 180;
 
-// -1 when absent.
-int node_named(const Rig& rig, const std::string& name) {
-  for (std::size_t i = 0; i < rig.nodes.size(); ++i)
-    if (rig.nodes[i].name == name) return static_cast<int>(i);
-  return -1;
-}
-
-void add_joints(const QuadrupedSpec& spec, Rig& rig, std::vector<dvec3>& at) {
-  const auto add = [&](const std::string& name, const std::string& parent, const dvec3& place) {
-    if (node_named(rig, name) >= 0)
-      input_error("{}: the joint '{}' occurs twice in [[builder.joints]]; rename one", spec.source, name);
+void add_joints(const std::vector<QuadrupedJoint>& joints, Rig& rig) {
+  for (const QuadrupedJoint& j : joints) {
     Node node;
-    node.name = name;
-    node.parent = parent.empty() ? -1 : node_named(rig, parent);
-    if (!parent.empty() && node.parent < 0)
-      input_error("{}: the parent '{}' of joint '{}' is not listed before it in [[builder.joints]]", spec.source,
-                  parent, name);
-    if (parent.empty() && !rig.nodes.empty())
-      input_error("{}: joint '{}' needs a parent; only the first is the root", spec.source, name);
-    node.translation = node.parent >= 0 ? place - at[node.parent] : place;
+    node.name = j.name;
+    node.parent = rig.find_node(j.parent);
+    node.translation = node.parent >= 0 ? j.at - joints[node.parent].at : j.at;
     Bone bone;
     bone.node = static_cast<int>(rig.nodes.size());
-    bone.inverse_bind[3] = dvec4(-place, 1.0);  // all joints are turned as the model is in the neutral pose
+    bone.inverse_bind[3] = dvec4(-j.at, 1.0);  // all joints are turned as the model is in the neutral pose
     rig.nodes.push_back(std::move(node));
     rig.bones.push_back(bone);
-    at.push_back(place);
-  };
-  for (const QuadrupedJoint& j : spec.joints) {
-    add(j.name, j.parent, j.at);
-    if (j.mirror) add(mirror_name(j.name), mirror_name(j.parent), {j.at.x, -j.at.y, j.at.z});
   }
 }
 
@@ -68,50 +49,6 @@ std::vector<vec3> vertex_normals(const HalfMesh& mesh) {
     normals[i] = vec3(glm::normalize(sum[i]));
   }
   return normals;
-}
-
-// Skin weights of the half mesh, dense: those of the solids, then evened out along the surface, so that they are
-// smooth where solids meet and never jump between parts that are near only through the air.
-std::vector<double> section_weights(const HalfMesh& mesh, const Field& field, const std::vector<int>& twin, double edge) {
-  const std::size_t n = mesh.positions.size(), joints = twin.size();
-  std::vector<double> weights(n * joints), next(n * joints);
-  parallel_for(n, 64, [&](std::size_t i) {
-    const Influencing f = field.influences(mesh.positions[i]);
-    std::copy(f.joint_weights.begin(), f.joint_weights.end(),
-              weights.begin() + static_cast<std::ptrdiff_t>(i * joints));
-  });
-  std::vector<std::vector<std::uint32_t>> near(n);
-  for (const uvec3& t : mesh.triangles)
-    for (int k = 0; k < 3; ++k) {
-      near[t[k]].push_back(t[(k + 1) % 3]);
-      near[t[k]].push_back(t[(k + 2) % 3]);
-    }
-  for (auto& list : near) {
-    std::sort(list.begin(), list.end());
-    list.erase(std::unique(list.begin(), list.end()), list.end());
-  }
-  // Each round spreads by about half an edge; together about 25 mm whatever the edge length.
-  const int rounds = std::clamp(static_cast<int>(std::lround(4 * std::pow(0.025 / edge, 2))), 2, 40);
-  for (int round = 0; round < rounds; ++round) {
-    parallel_for(n, 64, [&](std::size_t i) {
-      double* to = &next[i * joints];
-      std::fill(to, to + joints, 0.0);
-      double total = 0;
-      for (const std::uint32_t v : near[i]) {
-        const double* from = &weights[v * joints];
-        const bool reflect = mesh.on_midplane[i] && !mesh.on_midplane[v];  // its mirror image is a neighbour too
-        for (std::size_t j = 0; j < joints; ++j) to[j] += reflect ? from[j] + from[twin[j]] : from[j];
-        total += reflect ? 2 : 1;
-      }
-      const double* own = &weights[i * joints];
-      for (std::size_t j = 0; j < joints; ++j) to[j] = 0.5 * own[j] + 0.5 * to[j] / total;
-      if (mesh.on_midplane[i])
-        for (std::size_t j = 0; j < joints; ++j)
-          if (static_cast<std::size_t>(twin[j]) > j) to[j] = to[twin[j]] = 0.5 * (to[j] + to[twin[j]]);
-    });
-    weights.swap(next);
-  }
-  return weights;
 }
 
 // Skin weights of the half mesh, dense: the joints that the solids' sections name, evened out by heat inside the body,
@@ -139,10 +76,7 @@ std::vector<double> skin_weights(const HalfMesh& mesh, const Field& field, const
     const Influencing f = field.influences(solid.centre(i));
     for (std::size_t j = 0; j < joints; ++j) seeds[i * joints + j] = static_cast<float>(f.joint_weights[j]);
   });
-  DiffusionOptions options;
-  if (getenv("W_REACH")) options.reach = atof(getenv("W_REACH"));
-  if (getenv("W_MOST")) options.most = atof(getenv("W_MOST"));
-  std::vector<double> weights = diffuse_weights(solid, seeds, static_cast<int>(joints), mesh.positions, options);
+  std::vector<double> weights = diffuse_weights(solid, seeds, static_cast<int>(joints), mesh.positions);
   std::vector<double> next(n * joints);
   std::vector<std::vector<std::uint32_t>> near(n);
   for (const uvec3& t : mesh.triangles)
@@ -154,7 +88,7 @@ std::vector<double> skin_weights(const HalfMesh& mesh, const Field& field, const
     std::sort(list.begin(), list.end());
     list.erase(std::unique(list.begin(), list.end()), list.end());
   }
-  const int rounds = getenv("W_ROUNDS") ? atoi(getenv("W_ROUNDS")) : 3;
+  constexpr int rounds = 3;
   for (int round = 0; round <= rounds; ++round) {
     parallel_for(n, 64, [&](std::size_t i) {
       double* to = &next[i * joints];
@@ -178,46 +112,28 @@ std::vector<double> skin_weights(const HalfMesh& mesh, const Field& field, const
   return weights;
 }
 
-void check_one_body(const QuadrupedSpec& spec, const HalfMesh& mesh) {
-  std::vector<std::uint32_t> root(mesh.positions.size());
-  std::iota(root.begin(), root.end(), 0u);
-  const auto find = [&](std::uint32_t v) {
-    while (root[v] != v) v = root[v] = root[root[v]];
-    return v;
-  };
-  for (const uvec3& t : mesh.triangles)
-    for (int k = 0; k < 2; ++k) {
-      const std::uint32_t a = find(t[k]), b = find(t[k + 1]);
-      root[std::max(a, b)] = std::min(a, b);
-    }
-  for (std::uint32_t v = 0; v < root.size(); ++v)
-    if (find(v) != find(0)) {
-      const dvec3& p = mesh.positions[v];
-      input_error("{}: the solids form more than one body, one of them near ({:.2f}, {:.2f}, {:.2f}); let them overlap",
-                  spec.source, p.x, p.y, p.z);
-    }
-}
-
 }  // namespace
 
 Rig build_quadruped(const QuadrupedSpec& spec) {
   Rig rig;
   rig.source = spec.source;
-  std::vector<dvec3> joint_at;
-  add_joints(spec, rig, joint_at);
+  check_numbers(spec);
+  const std::vector<QuadrupedJoint> joints = ordered_joints(spec);
+  add_joints(joints, rig);
   std::vector<std::string> names;
   for (const Node& node : rig.nodes) names.push_back(node.name);
   std::vector<int> twin;
   for (std::size_t j = 0; j < names.size(); ++j) {
-    const int other = node_named(rig, mirror_name(names[j]));
+    const int other = rig.find_node(mirror_name(names[j]));
     twin.push_back(other >= 0 ? other : static_cast<int>(j));
   }
 
   const Field field = build_field(spec, names, rig.part_names);
   HalfMesh half = polygonise(field, spec.grid);
+  keep_one_body(spec, field, half);
   remesh(half, field, spec.target_edge, 8);
-  check_one_body(spec, half);
-  const std::vector<double> weights = getenv("W_OLD") ? section_weights(half, field, twin, spec.target_edge) : skin_weights(half, field, twin);
+  check_joints_inside(spec, joints, field, half);
+  const std::vector<double> weights = skin_weights(half, field, twin);
 
   const std::size_t half_triangles = half.triangles.size();
   const std::vector<vec3> normals = vertex_normals(half);
@@ -239,7 +155,7 @@ Rig build_quadruped(const QuadrupedSpec& spec) {
     charts.push_back(charts[c]);
     for (dvec2& p : charts.back().flat) p.x = -p.x;
   }
-  pack_charts(charts, spec.gutter);
+  pack_charts(charts, half.triangles, spec.gutter);
 
   // Vertices chart by chart: a vertex on a seam occurs once in every chart that touches it.
   Surface& s = rig.surface;
@@ -256,7 +172,7 @@ Rig build_quadruped(const QuadrupedSpec& spec) {
       s.uvs.emplace_back(static_cast<float>(chart.flat[k].x),
                          static_cast<float>(1 - chart.flat[k].y));  // (0, 0) is top left
       rig.influence_begin.push_back(static_cast<std::uint32_t>(rig.influences.size()));
-      for (Influence i : strongest_influences(&weights[v * names.size()], twin, half.on_midplane[v])) {
+      for (Influence i : strongest_influences(&weights[v * names.size()], names.size())) {
         if (right) i.bone = static_cast<std::uint32_t>(twin[i.bone]);
         rig.influences.push_back(i);
       }
@@ -274,6 +190,7 @@ Rig build_quadruped(const QuadrupedSpec& spec) {
     }
   }
   rig.influence_begin.push_back(static_cast<std::uint32_t>(rig.influences.size()));
+  check_surface(spec, field, rig);
 
   MeshPart mesh;
   mesh.name = "body";

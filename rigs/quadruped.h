@@ -48,16 +48,17 @@ struct Solid {
 
 struct QuadrupedSpec {
   std::string source;          // file, for messages
-  double target_edge = 0.025;  // metres; what triangle edges are like where `detail` is 1
-  double grid = 0.011;         // metres; resolves the thinnest part, whatever the target edge
+  double target_edge = 0.024;  // metres; what triangle edges are like where `detail` is 1
+  double grid = 0.007;         // metres; resolves the thinnest part, whatever the target edge
   double gutter = 0.004;       // free border around UV charts, share of the atlas' side
-  std::vector<QuadrupedJoint> joints;
+  int handles = 0;             // loops of the body one can reach through (its genus)
+  std::vector<QuadrupedJoint> joints;  // in any order
   std::vector<Solid> solids;
   std::vector<LegSpec> legs;  // for the clips, see motion.h
 };
 
 // A closed, two-manifold, left/right symmetric skinned mesh with UV atlas and parts. The same bytes for any
-// number of threads. Throws InputError where the spec contradicts itself (unknown joints, solids that do not touch).
+// number of threads. Throws InputError where the spec contradicts itself (quadruped_check.h lists how).
 Rig build_quadruped(const QuadrupedSpec& spec);
 
 }  // namespace moomill

@@ -260,6 +260,52 @@ void relax(Work& w, const Field& field, int steps) {
   w.position = std::move(moved);
 }
 
+// Where triangles still lie back on each other or are slivers, the field has a crease that no edge length resolves:
+// there vertices go to the middle of their neighbours, off the field, until the surface lies open.
+void lay_open(Work& w) {
+  constexpr double fold = -0.35, sliver = 0.12;  // cosine between neighbours' normals; as worst_angle_measure
+  std::vector<Index> near;
+  for (int round = 0; round < 20; ++round) {
+    std::vector<std::uint8_t> bad(w.position.size(), 0);
+    bool any = false;
+    for (Index t = 0; t < w.triangle.size(); ++t) {
+      if (w.dead(t)) continue;
+      const uvec3 v = w.triangle[t];
+      bool here = worst_angle_measure(w, v.x, v.y, v.z) < sliver;
+      const dvec3 n = w.normal(v);
+      for (int k = 0; k < 3 && !here; ++k) {
+        const Sides s = sides_of(w, v[k], v[(k + 1) % 3]);
+        if (s.count != 2) continue;
+        const dvec3 m = w.normal(w.triangle[s.triangle[0] == t ? s.triangle[1] : s.triangle[0]]);
+        here = glm::dot(n, m) < fold * glm::length(n) * glm::length(m);
+      }
+      if (here) bad[v.x] = bad[v.y] = bad[v.z] = 1, any = true;
+    }
+    if (!any) return;
+    const std::vector<std::uint8_t> core = bad;
+    for (Index i = 0; i < w.position.size(); ++i) {
+      if (!core[i]) continue;
+      neighbours(w, i, near);
+      for (const Index v : near) bad[v] = 1;
+    }
+    std::vector<dvec3> moved(w.position);
+    for (Index i = 0; i < w.position.size(); ++i) {
+      if (!bad[i] || w.around[i].empty()) continue;
+      neighbours(w, i, near);
+      dvec3 sum(0);
+      double total = 0;
+      for (const Index v : near) {
+        const double weight = w.border[i] && !w.border[v] ? 2 : 1;  // its mirror image too
+        sum += weight * w.position[v], total += weight;
+      }
+      moved[i] = glm::mix(w.position[i], sum / total, core[i] ? 0.6 : 0.3);
+      if (w.border[i]) moved[i].y = 0;
+    }
+    w.position = std::move(moved);
+    flip_edges(w);
+  }
+}
+
 // What edges at a point may be at most, in shares of the target, for a surface bent with `curvature` (1 / radius): a
 // chord's sagitta grows with length^2 / radius, so lengths go with the square root of the radius. Flatter than
 // `full_radius` nothing is asked; creases are not followed to the end.
@@ -370,6 +416,7 @@ void remesh(HalfMesh& mesh, const Field& field, double target_edge, int rounds) 
   }
   relax(w, field, 3);
   flip_edges(w);
+  lay_open(w);
   mesh = compacted(w);
 }
 

@@ -115,8 +115,10 @@ void add_points(Shape& shape, const Solid& solid, const std::string& source) {
     axis = glm::normalize(axis);
     const dvec3 across = glm::cross(solid.up, axis);
     if (glm::length(across) < 0.1 || (k > 0 && glm::dot(across, shape.points[k - 1].side_axis) < 0))
-      input_error("{}: solid '{}' runs along its 'up' somewhere; give it an 'up' that is square to all of its axis",
-                  source, solid.name);
+      input_error("{}: solid '{}' in [builder] runs along its 'up' at section {} ({:.3f}, {:.3f}, {:.3f}); give it an "
+                  "'up' that is square to all of its axis",
+                  source, solid.name, static_cast<int>(shape.points[k].along + 0.5), shape.points[k].at.x,
+                  shape.points[k].at.y, shape.points[k].at.z);
     shape.points[k].side_axis = glm::normalize(across);
     shape.points[k].up_axis = glm::cross(axis, shape.points[k].side_axis);
     if (k == 0) shape.start_axis = -axis;

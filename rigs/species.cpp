@@ -37,11 +37,12 @@ Pose sample_within_limits(const Species& species, const std::vector<double>& uni
   const std::vector<dmat4> world = world_transforms(rig, neutral);
   for (std::size_t i = 0; i < species.limits.size(); ++i) {
     const JointLimit& limit = species.limits[i];
+    const dvec3 lower = limit.sampled_lower(), upper = limit.sampled_upper();
     dvec3 angle;
     for (int axis = 0; axis < 3; ++axis) {
       const std::size_t k = 3 * i + axis;
       const double u = k < uniforms.size() ? uniforms[k] : 0.5;
-      angle[axis] = (limit.lower_deg[axis] + u * (limit.upper_deg[axis] - limit.lower_deg[axis])) * degrees;
+      angle[axis] = (lower[axis] + u * (upper[axis] - lower[axis])) * degrees;
     }
     // About x, then y, then z of the model space as the neutral pose has it; the parent carries these axes along.
     const dquat turn = glm::angleAxis(angle.z, dvec3(0, 0, 1)) * glm::angleAxis(angle.y, dvec3(0, 1, 0)) *

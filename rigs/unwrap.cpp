@@ -3,12 +3,15 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <iterator>
+#include <map>
 #include <numeric>
 #include <queue>
+#include <set>
 #include <tuple>
 #include <unordered_map>
 
-#include "generator/core/error.h"
+#include "generator/core/parallel.h"
 
 namespace moomill {
 namespace {
@@ -151,39 +154,6 @@ Chart flatten(const std::vector<dvec3>& positions, const std::vector<uvec3>& tri
   return chart;
 }
 
-dvec2 flat_of(const Chart& chart, Index vertex) {
-  return chart.flat[std::lower_bound(chart.vertices.begin(), chart.vertices.end(), vertex) - chart.vertices.begin()];
-}
-
-double cross2(const dvec2& a, const dvec2& b) {
-  return a.x * b.y - a.y * b.x;
-}
-
-// True when some triangle is turned over or two triangles cover a point of a fine grid.
-bool overlaps_itself(const Chart& chart, const std::vector<uvec3>& triangles) {
-  dvec2 lower(1e30), upper(-1e30);
-  for (const dvec2& p : chart.flat) lower = glm::min(lower, p), upper = glm::max(upper, p);
-  constexpr int cells = 700;
-  const double step = std::max(upper.x - lower.x, upper.y - lower.y) / cells;
-  std::vector<std::uint8_t> covered(static_cast<std::size_t>(cells + 1) * (cells + 1), 0);
-  for (const Index t : chart.triangles) {
-    const dvec2 a = (flat_of(chart, triangles[t].x) - lower) / step,
-                b = (flat_of(chart, triangles[t].y) - lower) / step,
-                c = (flat_of(chart, triangles[t].z) - lower) / step;
-    const double area = cross2(b - a, c - a);
-    if (area <= 0) return true;
-    const dvec2 from = glm::floor(glm::min(a, glm::min(b, c))), to = glm::max(a, glm::max(b, c));
-    for (int y = std::max(0, static_cast<int>(from.y)); y <= std::min(cells, static_cast<int>(to.y)); ++y)
-      for (int x = std::max(0, static_cast<int>(from.x)); x <= std::min(cells, static_cast<int>(to.x)); ++x) {
-        const dvec2 p(x + 0.5, y + 0.5);
-        const double eps = 1e-7 * area;
-        if (cross2(b - a, p - a) <= eps || cross2(c - b, p - b) <= eps || cross2(a - c, p - c) <= eps) continue;
-        if (covered[static_cast<std::size_t>(y) * (cells + 1) + x]++) return true;
-      }
-  }
-  return false;
-}
-
 // Two halves, by which of two far ends a triangle is nearer to over the surface.
 std::array<std::vector<Index>, 2> halve(const Faces& f, const std::vector<Index>& part) {
   std::unordered_map<Index, int> slot;
@@ -216,64 +186,135 @@ std::array<std::vector<Index>, 2> halve(const Faces& f, const std::vector<Index>
   return halves;
 }
 
-dvec2 turned(const dvec2& p, double angle) {
-  const double c = std::cos(angle), s = std::sin(angle);
-  return {c * p.x - s * p.y, s * p.x + c * p.y};
+// Would the union of these triangles do as a chart? With it in `chart`, flattened.
+bool flattens(Chart& chart, const std::vector<dvec3>& positions, const std::vector<uvec3>& triangles, int rounds,
+              double worst, double uneven) {
+  flatten_rigidly(chart, positions, triangles, rounds);
+  const Stretch stretch = measure_stretch(chart, positions, triangles);
+  return !stretch.turned_over && stretch.worst < worst && stretch.uneven < uneven &&
+         !border_crosses(chart, triangles);
 }
 
-// Turns a chart so that its bounding rectangle is smallest and lies flat, its lower corner at the origin.
-dvec2 lay_flat(Chart& chart) {
-  const auto extent = [&](double angle) {
-    dvec2 lower(1e30), upper(-1e30);
+// Share of its smallest bounding rectangle that a chart fills: sprawling charts cannot be packed.
+double filling(const Chart& chart, double area) {
+  double least = std::numeric_limits<double>::infinity();
+  for (int i = 0; i < 18; ++i) {
+    const double c = std::cos(i * 5 * degrees), s = std::sin(i * 5 * degrees);
+    dvec2 lower(std::numeric_limits<double>::infinity()), upper = -lower;
     for (const dvec2& p : chart.flat) {
-      const dvec2 q = turned(p, angle);
+      const dvec2 q(c * p.x - s * p.y, s * p.x + c * p.y);
       lower = glm::min(lower, q), upper = glm::max(upper, q);
     }
-    return std::pair(lower, upper);
-  };
-  double best = 0, least = std::numeric_limits<double>::infinity();
-  for (int i = 0; i < 36; ++i) {
-    const auto [lower, upper] = extent(i * 5 * degrees);
-    const double area =
-        (upper.x - lower.x) * (upper.y - lower.y) * (upper.x >= upper.y - lower.y + lower.x ? 1.0 : 1.0001);
-    if (area < least * 0.99999) least = area, best = i * 5 * degrees;
+    least = std::min(least, (upper.x - lower.x) * (upper.y - lower.y));
   }
-  const auto [l, u] = extent(best);
-  if (u.y - l.y > u.x - l.x) best += 90 * degrees;
-  const auto [lower, upper] = extent(best);
-  for (dvec2& p : chart.flat) p = turned(p, best) - lower;
-  return upper - lower;
+  return area / least;
 }
 
-// Skyline packing: each rectangle goes where its top ends lowest. Returns the height used, or infinity.
-double skyline(const std::vector<dvec2>& sizes, const std::vector<std::size_t>& order, std::vector<dvec2>* places) {
-  struct Step {
-    double x, y;
-  };
-  std::vector<Step> steps{{0, 0}};
-  double top = 0;
-  for (const std::size_t i : order) {
-    const dvec2 s = sizes[i];
-    double best = std::numeric_limits<double>::infinity();
-    std::size_t at = 0;
-    for (std::size_t k = 0; k < steps.size() && steps[k].x + s.x <= 1; ++k) {
-      double y = 0;
-      for (std::size_t j = k; j < steps.size() && steps[j].x < steps[k].x + s.x; ++j) y = std::max(y, steps[j].y);
-      if (y + s.y < best) best = y + s.y, at = k;
-    }
-    if (!std::isfinite(best)) return best;
-    const double x = steps[at].x, end = x + s.x;
-    if (places) (*places)[i] = {x, best - s.y};
-    double last = 0;
-    std::size_t j = at;
-    for (; j < steps.size() && steps[j].x < end; ++j) last = steps[j].y;
-    const bool tail = (j == steps.size() ? 1.0 : steps[j].x) > end;
-    steps.erase(steps.begin() + static_cast<std::ptrdiff_t>(at), steps.begin() + static_cast<std::ptrdiff_t>(j));
-    steps.insert(steps.begin() + static_cast<std::ptrdiff_t>(at), {x, best});
-    if (tail) steps.insert(steps.begin() + static_cast<std::ptrdiff_t>(at) + 1, {end, last});
-    top = std::max(top, best);
+// Both charts in one, the second moved to where their common vertices fit best. Flat positions of these are means.
+Chart united(const Chart& a, const Chart& b) {
+  std::vector<std::pair<std::size_t, std::size_t>> common;
+  for (std::size_t i = 0, j = 0; i < a.vertices.size() && j < b.vertices.size();) {
+    if (a.vertices[i] == b.vertices[j])
+      common.emplace_back(i++, j++);
+    else
+      ++(a.vertices[i] < b.vertices[j] ? i : j);
   }
-  return top;
+  dvec2 middle_a(0), middle_b(0);
+  for (const auto& [i, j] : common) middle_a += a.flat[i], middle_b += b.flat[j];
+  middle_a /= static_cast<double>(common.size()), middle_b /= static_cast<double>(common.size());
+  double c = 0, s = 0;
+  for (const auto& [i, j] : common) {
+    const dvec2 p = b.flat[j] - middle_b, q = a.flat[i] - middle_a;
+    c += glm::dot(p, q), s += p.x * q.y - p.y * q.x;
+  }
+  const double length = std::hypot(c, s);
+  c = length > 0 ? c / length : 1, s = length > 0 ? s / length : 0;
+  Chart chart;
+  std::merge(a.triangles.begin(), a.triangles.end(), b.triangles.begin(), b.triangles.end(),
+             std::back_inserter(chart.triangles));
+  for (std::size_t i = 0, j = 0; i < a.vertices.size() || j < b.vertices.size();) {
+    const bool from_a = j == b.vertices.size() || (i < a.vertices.size() && a.vertices[i] <= b.vertices[j]);
+    const bool from_b = i == a.vertices.size() || (j < b.vertices.size() && b.vertices[j] <= a.vertices[i]);
+    chart.vertices.push_back(from_a ? a.vertices[i] : b.vertices[j]);
+    dvec2 place(0);
+    if (from_b) {
+      const dvec2 p = b.flat[j] - middle_b;
+      place = middle_a + dvec2(c * p.x - s * p.y, s * p.x + c * p.y);
+    }
+    if (from_a) place = from_b ? 0.5 * (place + a.flat[i]) : a.flat[i];
+    chart.flat.push_back(place);
+    i += from_a, j += from_b;
+  }
+  return chart;
+}
+
+// Merges neighbours while that keeps stretch low: in every round the best partners of all charts at once.
+void merge_charts(const Faces& f, const std::vector<dvec3>& positions, const std::vector<uvec3>& triangles,
+                  std::vector<Chart>& charts) {
+  constexpr double largest = 0.25, fullest = 0.62;  // share of the whole surface; of the bounding rectangle
+  std::vector<int> owner(triangles.size());
+  std::vector<double> area(charts.size(), 0.0);
+  std::set<std::pair<int, int>> refused;
+  for (std::size_t c = 0; c < charts.size(); ++c)
+    for (const Index t : charts[c].triangles) owner[t] = static_cast<int>(c), area[c] += f.area[t];
+  const double total = std::accumulate(area.begin(), area.end(), 0.0);
+  while (true) {
+    std::map<std::pair<int, int>, double> shared;  // length of the seam, visible parts counted more
+    std::vector<double> around(charts.size(), 0.0);
+    for (std::size_t t = 0; t < triangles.size(); ++t)
+      for (int k = 0; k < 3; ++k) {
+        const int u = f.beside[t][k];
+        if (u != none && owner[u] == owner[t]) continue;
+        const double length = glm::length(positions[triangles[t][k]] - positions[triangles[t][(k + 1) % 3]]);
+        around[owner[t]] += length;
+        const dvec3& n = f.normal[t];
+        if (u != none)
+          shared[std::minmax(owner[t], owner[u])] += length * (0.5 + std::max(n.y, 0.0) + 0.5 * std::max(n.z, 0.0));
+      }
+    struct Candidate {
+      double gain;
+      int a, b;
+    };
+    std::vector<Candidate> candidates;
+    for (const auto& [pair, length] : shared) {
+      const auto [a, b] = pair;
+      if (area[a] + area[b] > largest * total || refused.count(pair)) continue;
+      candidates.push_back({length / std::min(around[a], around[b]), a, b});
+    }
+    std::stable_sort(candidates.begin(), candidates.end(),
+                     [](const Candidate& x, const Candidate& y) { return x.gain > y.gain; });
+    std::vector<std::uint8_t> taken(charts.size(), 0);
+    std::vector<Candidate> tried;
+    for (const Candidate& c : candidates) {
+      if (taken[c.a] || taken[c.b]) continue;
+      taken[c.a] = taken[c.b] = 1;
+      tried.push_back(c);
+    }
+    if (tried.empty()) break;
+    std::vector<Chart> unions(tried.size());
+    std::vector<std::uint8_t> good(tried.size(), 0);
+    parallel_for(tried.size(), 1, [&](std::size_t i) {
+      unions[i] = united(charts[tried[i].a], charts[tried[i].b]);
+      good[i] = filling(unions[i], area[tried[i].a] + area[tried[i].b]) > fullest &&
+                flattens(unions[i], positions, triangles, 10, 1.6, 0.03);
+    });
+    for (std::size_t i = 0; i < tried.size(); ++i) {
+      const auto [gain, a, b] = tried[i];
+      if (!good[i]) {
+        refused.insert(std::minmax(a, b));
+        continue;
+      }
+      // A chart that changed is a new one to all its neighbours.
+      std::erase_if(refused, [&](const std::pair<int, int>& p) {
+        return p.first == a || p.second == a || p.first == b || p.second == b;
+      });
+      for (const Index t : charts[b].triangles) owner[t] = a;
+      area[a] += area[b], area[b] = 0;
+      charts[a] = std::move(unions[i]);
+      charts[b] = {};
+    }
+  }
+  std::erase_if(charts, [](const Chart& c) { return c.triangles.empty(); });
 }
 
 }  // namespace
@@ -293,7 +334,7 @@ std::vector<Chart> cut_charts(const std::vector<dvec3>& positions, const std::ve
     std::vector<Index> part = std::move(work.back());
     work.pop_back();
     Chart chart = flatten(positions, triangles, f, part);
-    if (part.size() > 1 && overlaps_itself(chart, triangles)) {
+    if (part.size() > 1 && !flattens(chart, positions, triangles, 4, 2.0, 0.1)) {
       auto halves = halve(f, part);
       // A half may fall apart where it is nearer to one end along two ways.
       std::vector<int> side(triangles.size(), none);
@@ -305,31 +346,8 @@ std::vector<Chart> cut_charts(const std::vector<dvec3>& positions, const std::ve
     }
     charts.push_back(std::move(chart));
   }
+  merge_charts(f, positions, triangles, charts);
   return charts;
-}
-
-void pack_charts(std::vector<Chart>& charts, double gutter) {
-  std::vector<dvec2> sizes;
-  for (Chart& chart : charts) sizes.push_back(lay_flat(chart));
-  std::vector<std::size_t> order(charts.size());
-  std::iota(order.begin(), order.end(), std::size_t{0});
-  std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return sizes[a].y > sizes[b].y; });
-  const double inner = 1 - gutter;  // half a gutter at the atlas' own border
-  const auto scaled = [&](double scale) {
-    std::vector<dvec2> boxes;
-    for (const dvec2& s : sizes) boxes.push_back((s * scale + gutter) / inner);
-    return boxes;
-  };
-  double low = 0, high = 100;  // texture sides per metre; 0 always fits unless gutters alone fill the atlas
-  for (int i = 0; i < 40; ++i) {
-    const double middle = 0.5 * (low + high);
-    (skyline(scaled(middle), order, nullptr) <= 1 ? low : high) = middle;
-  }
-  if (low == 0) input_error("{} UV charts do not fit with a gutter of {}; lower it", charts.size(), gutter);
-  std::vector<dvec2> places(charts.size());
-  skyline(scaled(low), order, &places);
-  for (std::size_t i = 0; i < charts.size(); ++i)
-    for (dvec2& p : charts[i].flat) p = p * low + places[i] * inner + gutter;
 }
 
 }  // namespace moomill

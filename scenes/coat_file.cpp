@@ -67,6 +67,27 @@ PlainPattern read_plain(TomlReader r) {
   return p;
 }
 
+CellPattern read_cells(TomlReader r) {
+  CellPattern c;
+  c.line = color(r, "line", c.line);
+  c.cell = color(r, "cell", c.cell);
+  c.center = color(r, "center", c.cell);
+  c.size = r.number("size_m", c.size, 0.005, 100);
+  c.gap = r.number("gap_m", c.gap, 0, 10);
+  c.regularity = r.number("regularity", c.regularity, 0.2, 0.9);
+  c.jag = r.number("jag_m", c.jag, 0, 10);
+  c.raggedness = r.number("raggedness_m", c.raggedness, 0, 10);
+  c.softness = r.number("softness_m", c.softness, 0, 10);
+  c.variation = r.number("variation", c.variation, 0, 1);
+  for (TomlReader& p : r.tables("parts")) {
+    const std::string part = p.text("part");
+    c.parts.emplace_back(part, p.number("size", 1, 0.05, 1));
+    p.finish();
+  }
+  r.finish();
+  return c;
+}
+
 Freckles read_freckles(TomlReader r) {
   Freckles f;
   f.color = color(r, "color", f.color);
@@ -137,11 +158,15 @@ ProceduralCoat read_procedural_coat(TomlReader& r) {
   ProceduralCoat coat;
   coat.seed = static_cast<std::uint64_t>(r.integer("seed", 1, 0, std::numeric_limits<std::int64_t>::max()));
   coat.fur = r.number("fur", coat.fur, 0, 1);
-  auto patches = r.table("patches"), plain = r.table("plain");
+  auto patches = r.table("patches"), plain = r.table("plain"), cells = r.table("cells");
   if (patches && plain) r.fail("plain", "cannot stand beside [patches]; leave one of them out");
-  if (!patches && !plain) r.fail("patches", "is missing; give the coat [patches], [plain] or image = \"file.png\"");
+  if (cells && (patches || plain)) r.fail("cells", "cannot stand beside [patches] or [plain]; leave one of them out");
+  if (!patches && !plain && !cells)
+    r.fail("patches", "is missing; give the coat [patches], [plain], [cells] or image = \"file.png\"");
   if (patches)
     coat.base = read_patches(*patches);
+  else if (cells)
+    coat.base = read_cells(*cells);
   else
     coat.base = read_plain(*plain);
   if (auto f = r.table("freckles")) coat.freckles = read_freckles(*f);

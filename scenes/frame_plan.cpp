@@ -30,6 +30,27 @@ Pose pose_from_clip(const SceneSpec& scene, const ClipFrames& source, const Spec
   return sample_clip(species.rig, *clip, clip->duration * index / source.count);
 }
 
+// How far the pose has moved the root joint horizontally from where the neutral pose has it, in model space.
+dvec3 root_travel(const Species& species, const Pose& pose) {
+  if (species.rig.bones.empty()) return dvec3(0);
+  int root = species.rig.bones[0].node;  // parents come before children: the least index is a topmost joint
+  for (const Bone& b : species.rig.bones) root = std::min(root, b.node);
+  Pose here = pose, neutral = species.neutral;
+  here.placement = neutral.placement = dmat4(1.0);
+  const dvec3 moved =
+      dvec3(world_transforms(species.rig, here)[root][3]) - dvec3(world_transforms(species.rig, neutral)[root][3]);
+  return {moved.x, moved.y, 0};
+}
+
+// What a clip's topmost joint has advanced by, evenly, at a frame of it.
+dvec3 even_advance(const SceneSpec& scene, const ClipFrames& source, const Species& species, int index) {
+  const Clip* clip = find_clip_or_refuse(scene, species, source.clip);
+  if (!clip) return dvec3(0);
+  const dvec3 way = root_travel(species, sample_clip(species.rig, *clip, clip->duration)) -
+                    root_travel(species, sample_clip(species.rig, *clip, 0));
+  return way * (static_cast<double>(index) / source.count);
+}
+
 LocalTransform rest_of(const Node& node) {
   return {node.translation, node.rotation, node.scale};
 }
@@ -65,29 +86,65 @@ std::vector<double> uniforms_for(const SceneSpec& scene, const AnimalSpec& spec,
       hash_identity({scene.seed, hash_text(spec.key + ".poses"), static_cast<std::uint64_t>(frame_index)});
   for (std::size_t i = 0; i < species.limits.size(); ++i)
     for (int axis = 0; axis < 3; ++axis) {
-      const double lower = species.limits[i].lower_deg[axis], upper = species.limits[i].upper_deg[axis];
+      const double lower = species.limits[i].sampled_lower()[axis], upper = species.limits[i].sampled_upper()[axis];
       const double rest = upper > lower ? std::clamp(-lower / (upper - lower), 0.0, 1.0) : 0.5;
       u.push_back(rest + spread * (to_unit(hash_identity({identity, 3 * i + axis})) - rest));
     }
   return u;
 }
 
-// How far the pose has moved the root joint horizontally from where the neutral pose has it, in model space.
-dvec3 root_travel(const Species& species, const Pose& pose) {
-  if (species.rig.bones.empty()) return dvec3(0);
-  int root = species.rig.bones[0].node;  // parents come before children: the least index is a topmost joint
-  for (const Bone& b : species.rig.bones) root = std::min(root, b.node);
-  Pose here = pose, neutral = species.neutral;
-  here.placement = neutral.placement = dmat4(1.0);
-  const dvec3 moved =
-      dvec3(world_transforms(species.rig, here)[root][3]) - dvec3(world_transforms(species.rig, neutral)[root][3]);
-  return {moved.x, moved.y, 0};
-}
-
 dmat4 translation(const dvec3& t) {
   dmat4 m(1.0);
   m[3] = dvec4(t, 1.0);
   return m;
+}
+
+// Puts a posed animal down on z = `floor`: the plane that touches it from below at three points around its middle
+// becomes level (by `steepest` at most, so that an odd pose does not lie down), then the lowest point is lowered onto the
+// floor. Of all planes below the surface that one is highest under the middle; its height there is a concave function
+// of the two slopes, so ternary searches within one another find it.
+dmat4 put_down(const Species& species, const Pose& pose, double floor) {
+  constexpr double steepest = 6 * degrees;
+  Pose here = pose;
+  here.placement = dmat4(1.0);
+  const PosedSurface surface =
+      skin(species.rig, bone_matrices(species.rig, world_transforms(species.rig, here)), pose.morph_weights,
+           species.skinning, dvec3(0));
+  Box box;
+  for (const vec3& p : surface.positions) box.add(dvec3(p));
+  const dvec3 middle(box.centre().x, box.centre().y, 0);
+  std::vector<dvec3> low;  // those that a plane within the slopes can touch first
+  const double reach = std::tan(steepest) * 2 * std::hypot(box.size().x, box.size().y);
+  for (const vec3& p : surface.positions)
+    if (p.z < box.lower.z + reach) low.push_back(dvec3(p) - middle);
+  const auto height = [&](double along_x, double along_y) {
+    double h = std::numeric_limits<double>::infinity();
+    for (const dvec3& p : low) h = std::min(h, p.z - along_x * p.x - along_y * p.y);
+    return h;
+  };
+  const auto highest = [](const auto& f, double reach_of_slope) {
+    double a = -reach_of_slope, b = reach_of_slope;
+    for (int i = 0; i < 26; ++i) {  // to 5 microradians
+      const double c = a + (b - a) / 3, d = b - (b - a) / 3;
+      if (f(c) < f(d))
+        a = c;
+      else
+        b = d;
+    }
+    return 0.5 * (a + b);
+  };
+  const double slope = std::tan(steepest);
+  const auto best_y = [&](double x) { return highest([&](double y) { return height(x, y); }, slope); };
+  const double along_x = highest([&](double x) { return height(x, best_y(x)); }, slope), along_y = best_y(along_x);
+  const dvec3 up = glm::normalize(dvec3(-along_x, -along_y, 1));
+  const dvec3 axis = glm::cross(up, dvec3(0, 0, 1));
+  dmat4 tilt(1.0);
+  if (glm::length(axis) > 1e-12)
+    tilt = glm::mat4_cast(glm::angleAxis(std::asin(std::min(1.0, glm::length(axis))), glm::normalize(axis)));
+  tilt = translation(middle) * tilt * translation(-middle);
+  double lowest = std::numeric_limits<double>::infinity();
+  for (const vec3& p : surface.positions) lowest = std::min(lowest, transform_point(tilt, dvec3(p)).z);
+  return translation({0, 0, floor - lowest}) * tilt;
 }
 
 dmat4 turn_about_z(double angle) {
@@ -146,10 +203,15 @@ Pose pose_of_frame(const SceneSpec& scene, const AnimalSpec& spec, const Species
     pose = sample_within_limits(species,
                                 uniforms_for(scene, spec, species, std::get<PoseSampler>(*source).spread, frame_index));
   const int frame = scene.first_frame + frame_index;
-  const dvec3 travel = spec.pose_in_place ? root_travel(species, pose) : dvec3(0);
+  dvec3 travel = spec.pose_in_place ? root_travel(species, pose) : dvec3(0);
+  if (const auto* clip = std::get_if<ClipFrames>(source); clip && clip->treadmill && !spec.pose_in_place)
+    travel = even_advance(scene, *clip, species, index);
+  dmat4 ground(1.0);
+  if (const auto* sampler = std::get_if<PoseSampler>(source); sampler && sampler->on_ground)
+    ground = put_down(species, pose, -species.standing.z);
   const dvec3 position = draw_vector(spec.position, scene.seed, frame, 0);
   const double yaw = draw_number(spec.yaw_deg, scene.seed, frame, 0) * degrees;
-  pose.placement = translation(position) * turn_about_z(yaw) * translation(species.standing - travel);
+  pose.placement = translation(position) * turn_about_z(yaw) * translation(species.standing - travel) * ground;
   return pose;
 }
 

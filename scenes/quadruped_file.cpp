@@ -7,9 +7,41 @@ namespace {
 
 constexpr double far = 100;  // metres; no animal is larger
 
-SolidSection read_section(TomlReader r) {
-  SolidSection s;
-  s.at = r.vector3("at");
+using Joints = std::vector<QuadrupedJoint>;
+
+// Where the joint is, twins of mirrored ones included.
+dvec3 joint_place(const TomlReader& r, const std::string& key, const Joints& joints, const std::string& name) {
+  std::vector<std::string> names;
+  for (const QuadrupedJoint& j : joints) {
+    if (j.name == name) return j.at;
+    names.push_back(j.name);
+    if (j.mirror && mirror_name(j.name) == name) return {j.at.x, -j.at.y, j.at.z};
+  }
+  r.fail(key, fmt::format("names '{}', which is no joint{}", name, suggestion(name, names)));
+}
+
+// Fills the place; returns the joint that moves the bone, empty for a section with `at`.
+std::string read_place(TomlReader& r, const Joints& joints, SolidSection& s) {
+  if (r.has("at") == r.has("along"))
+    r.fail(r.has("at") ? "along" : "at", "or the other of 'at' and 'along' must be there, and only one of them");
+  if (r.has("at")) {
+    s.at = r.vector3("at");
+    return "";
+  }
+  const std::vector<std::string> bone = r.texts("along");
+  if (bone.size() != 2) r.fail("along", "must be two joints, [from, to]");
+  const dvec3 from = joint_place(r, "along", joints, bone[0]), to = joint_place(r, "along", joints, bone[1]);
+  s.at = from + r.number("t", -10, 10) * (to - from) + r.vector3("offset", dvec3(0));
+  return bone[0];
+}
+
+void read_size(TomlReader& r, SolidSection& s) {
+  if (r.has("width_m") || r.has("depth_m")) {
+    if (r.has("radii")) r.fail("radii", "cannot stand beside 'width_m' and 'depth_m'; leave one of them out");
+    s.side = 0.5 * r.number("width_m", 1e-4, far);
+    s.up = s.down = 0.5 * r.number("depth_m", 1e-4, far);
+    return;
+  }
   const std::vector<double> radii = r.numbers("radii");
   if (radii.empty() || radii.size() > 3) r.fail("radii", "must be [all], [side, up] or [side, up, down], in metres");
   for (const double v : radii)
@@ -17,14 +49,20 @@ SolidSection read_section(TomlReader r) {
   s.side = radii[0];
   s.up = radii.size() > 1 ? radii[1] : radii[0];
   s.down = radii.size() > 2 ? radii[2] : s.up;
+}
+
+SolidSection read_section(TomlReader r, const Joints& joints, bool bone_moves) {
+  SolidSection s;
+  const std::string bone = read_place(r, joints, s);
+  read_size(r, s);
   s.power = r.number("power", 2, 2, 8);
-  s.joint = r.text("joint", "");
+  s.joint = r.text("joint", bone_moves ? bone : "");
   s.part = r.text("part", "");
   r.finish();
   return s;
 }
 
-Solid read_solid(TomlReader r) {
+Solid read_solid(TomlReader r, const Joints& joints) {
   Solid s;
   s.name = r.text("name");
   const std::string kind = r.word("kind", "add", {"add", "carve", "paint"});
@@ -36,7 +74,8 @@ Solid read_solid(TomlReader r) {
   s.up = glm::normalize(s.up);
   s.mirror = r.boolean("mirror", false);
   const std::string part = r.text("part", ""), joint = r.text("joint", "");
-  for (TomlReader& section : r.tables("sections")) s.sections.push_back(read_section(section));
+  for (TomlReader& section : r.tables("sections"))
+    s.sections.push_back(read_section(section, joints, joint.empty()));
   if (s.sections.empty()) r.fail("sections", "is missing or empty; give at least one section");
   if (s.sections[0].part.empty()) s.sections[0].part = part;
   if (s.sections[0].joint.empty()) s.sections[0].joint = joint;
@@ -51,6 +90,19 @@ Solid read_solid(TomlReader r) {
   return s;
 }
 
+// Another size of the same animal: every length of it.
+void scale_spec(QuadrupedSpec& spec, double factor) {
+  spec.target_edge *= factor;
+  spec.grid *= factor;
+  for (QuadrupedJoint& joint : spec.joints) joint.at *= factor;
+  for (Solid& solid : spec.solids) {
+    solid.blend *= factor, solid.cap_start *= factor, solid.cap_end *= factor;
+    for (SolidSection& s : solid.sections) s.at *= factor, s.side *= factor, s.up *= factor, s.down *= factor;
+  }
+}
+
+}  // namespace
+
 LegSpec read_leg(TomlReader r) {
   LegSpec l;
   l.blade = r.text("blade", "");
@@ -60,12 +112,11 @@ LegSpec read_leg(TomlReader r) {
   l.pastern = r.text("pastern");
   l.foot = r.text("foot");
   l.couple = r.number("couple", 0, -4, 4);
+  l.blade_share = r.number("blade_share", l.blade_share, 0, 1);
   l.mirror = r.boolean("mirror", true);
   r.finish();
   return l;
 }
-
-}  // namespace
 
 QuadrupedSpec read_quadruped(TomlReader r) {
   QuadrupedSpec spec;
@@ -73,6 +124,7 @@ QuadrupedSpec read_quadruped(TomlReader r) {
   spec.target_edge = r.number("target_edge_m", spec.target_edge, 0.002, 1);
   spec.grid = r.number("grid_m", spec.grid, 0.002, 1);
   spec.gutter = r.number("gutter", spec.gutter, 0, 0.1);
+  spec.handles = static_cast<int>(r.integer("handles", 0, 0, 1000));
   for (TomlReader& j : r.tables("joints")) {
     QuadrupedJoint joint;
     joint.name = j.text("name");
@@ -84,13 +136,14 @@ QuadrupedSpec read_quadruped(TomlReader r) {
     j.finish();
     spec.joints.push_back(std::move(joint));
   }
-  for (TomlReader& solid : r.tables("solids")) spec.solids.push_back(read_solid(solid));
+  for (TomlReader& solid : r.tables("solids")) spec.solids.push_back(read_solid(solid, spec.joints));
   std::vector<PartSpec> parts;
   for (TomlReader& part : r.tables("parts")) parts.push_back(read_part(part));
   if (!parts.empty()) {
     const std::vector<Solid> solids = expand_parts(parts, spec);
     spec.solids.insert(spec.solids.end(), solids.begin(), solids.end());
   }
+  if (const double scale = r.number("scale", 1, 0.01, 100); scale != 1) scale_spec(spec, scale);
   for (TomlReader& leg : r.tables("legs")) spec.legs.push_back(read_leg(leg));
   if (r.has("clips")) r.fail("clips", "has moved: one file a clip in the folder 'motion' beside this file");
   r.finish();

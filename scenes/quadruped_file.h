@@ -1,5 +1,5 @@
 #pragma once
-// The [builder] table of a species file: see rigs/cow/README.md for its keys.
+// The [builder] table of a species file: see rigs/README.md for its keys.
 #include "rigs/quadruped.h"
 #include "scenes/toml.h"
 
@@ -7,5 +7,8 @@ namespace moomill {
 
 // `reader` is at the [builder] table. Refuses unknown keys; does not build.
 QuadrupedSpec read_quadruped(TomlReader reader);
+
+// A [[legs]] or [[builder.legs]] table: the joints of a leg, for motion files.
+LegSpec read_leg(TomlReader reader);
 
 }  // namespace moomill

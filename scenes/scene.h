@@ -48,6 +48,8 @@ std::string draw_text(const Distribution& d, std::uint64_t seed, int frame, int 
 struct ClipFrames {  // `count` frames spread evenly over a clip, its end left out (of a loop it equals the start)
   std::string clip;  // empty: the rig's first clip, or its neutral pose when it has none
   int count = 0;
+  bool treadmill = false;  // take the clip's even advance out, keep the sway: the horizontal way from its first moment to
+                           // its last, at constant speed
 };
 // A JSON file of poses: {"poses": [{"node": {"rotation": [x, y, z, w], "translation": [..], "scale": [..]}, ...},
 // ...]}. A part left out is as in the neutral pose.
@@ -57,7 +59,8 @@ struct PoseFile {
 };
 struct PoseSampler {  // `count` poses within the species' joint limits
   int count = 0;
-  double spread = 1;  // share of the limits in use
+  double spread = 1;      // share of the limits in use
+  bool on_ground = true;  // tilted and lowered until the lowest hooves stand on the ground
 };
 using PoseSource = std::variant<ClipFrames, PoseFile, PoseSampler>;
 
@@ -157,6 +160,7 @@ struct SceneSpec {
 };
 
 SceneSpec read_scene(const std::filesystem::path& file);
+bool is_scene_file(const std::filesystem::path& file);  // a TOML file with [[animals]]; species files have none
 
 inline constexpr int largest_resolution = 16384;  // pixels a side
 inline constexpr int largest_samples = 1 << 20;   // per pixel

@@ -174,6 +174,7 @@ class SceneReader {
       clip.clip = t.text("clip");
       if (!t.has("count")) t.missing("count", "count = 100");
       clip.count = static_cast<int>(t.integer("count", 1, 1, most_frames));
+      clip.treadmill = t.boolean("treadmill", clip.treadmill);
       source = clip;
     } else if (t.has("file")) {
       source = read_pose_file(t);
@@ -181,6 +182,7 @@ class SceneReader {
       PoseSampler sampler;
       sampler.count = static_cast<int>(t.integer("random", 1, 1, most_frames));
       sampler.spread = t.number("spread", 1, 0, 1);
+      sampler.on_ground = t.boolean("on_ground", sampler.on_ground);
       source = sampler;
     }
     t.finish();
@@ -502,6 +504,10 @@ class SceneReader {
 SceneSpec read_scene(const fs::path& file) {
   const toml::table table = TomlReader::parse(file);
   return SceneReader(table, file).read();
+}
+
+bool is_scene_file(const fs::path& file) {
+  return TomlReader::parse(file).contains("animals");
 }
 
 }  // namespace moomill

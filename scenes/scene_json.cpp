@@ -42,7 +42,8 @@ Json to_json(const Distribution& d) {
 }
 
 Json to_json(const PoseSource& source) {
-  if (const auto* clip = std::get_if<ClipFrames>(&source)) return {{"clip", clip->clip}, {"count", clip->count}};
+  if (const auto* clip = std::get_if<ClipFrames>(&source)) 
+    return {{"clip", clip->clip}, {"count", clip->count}, {"treadmill", clip->treadmill}};
   if (const auto* file = std::get_if<PoseFile>(&source)) {
     Json out{{"file", portable_path(file->file)}};
     // The poses themselves decide the frames, so they are part of what the scene says.
@@ -50,7 +51,7 @@ Json to_json(const PoseSource& source) {
     return out;
   }
   const PoseSampler& sampler = std::get<PoseSampler>(source);
-  return {{"random", sampler.count}, {"spread", sampler.spread}};
+  return {{"random", sampler.count}, {"spread", sampler.spread}, {"on_ground", sampler.on_ground}};
 }
 
 // Runs of individuals as the tables they were asked for by.

@@ -63,10 +63,11 @@ class SpeciesReader {
     read_keypoints();
     s_.edges = read_name_pairs("edges");
     s_.pairs = read_name_pairs("pairs");
-    check_pairs();
+    check_pairs(built);
     read_limits();
+    for (TomlReader& leg : root_.tables("legs")) legs_.push_back(read_leg(leg));
     root_.finish();
-    if (built) s_.rig.clips = build_clips(root_.file(), legs_, read_motion(folder_ / "motion"), s_.rig);
+    read_clips();
     finish_species(s_, normalization,
                    stand == "as_is"    ? Stand::as_is
                    : stand == "ground" ? Stand::ground
@@ -101,6 +102,17 @@ class SpeciesReader {
     s_.rig = load_rig(t->at_key("file", [&] { return find_file(name, folder_); }), options);
     if (yaw != 0) turn_rig(s_.rig, yaw);
     return false;
+  }
+
+  // Clips of motion files come after those that the rig file has.
+  void read_clips() {
+    Motion motion = build_motion(root_.file(), legs_, read_motion(folder_ / "motion"), s_.rig, s_.neutral, s_.limits);
+    for (const Clip& c : motion.clips)
+      if (s_.rig.find_clip(c.name) >= 0)
+        input_error("{}: {} has a clip '{}' of its own; rename the file", (folder_ / "motion" / c.name).string() + ".toml",
+                    s_.rig.source, c.name);
+    std::move(motion.clips.begin(), motion.clips.end(), std::back_inserter(s_.rig.clips));
+    s_.clip_plans = std::move(motion.plans);
   }
 
   int read_joint(TomlReader& t, const std::string& key) {
@@ -210,12 +222,23 @@ class SpeciesReader {
     return out;
   }
 
-  void check_pairs() {
+  // With names as the builder gives them, every left keypoint has its right one, and the two are a pair.
+  void check_pairs(bool built) {
     std::set<int> seen;
     for (const auto& [left, right] : s_.pairs)
       for (const int k : {left, right})
         if (!seen.insert(k).second)
           root_.fail("pairs", fmt::format("names '{}' twice; a keypoint has one counterpart", s_.keypoints[k].name));
+    if (!built) return;
+    for (std::size_t k = 0; k < s_.keypoints.size(); ++k) {
+      const std::string& name = s_.keypoints[k].name;
+      const std::string other = mirror_name(name);
+      if (other == name) continue;
+      if (std::none_of(s_.keypoints.begin(), s_.keypoints.end(), [&](auto& p) { return p.name == other; }))
+        root_.fail("keypoints", fmt::format("hold '{}' but not its counterpart '{}'; add it", name, other));
+      if (!seen.count(static_cast<int>(k)))
+        root_.fail("pairs", fmt::format("lack '{}' and '{}'; add [\"{}\", \"{}\"]", name, other, name, other));
+    }
   }
 
   void read_limits() {
@@ -232,6 +255,14 @@ class SpeciesReader {
                  fmt::format("is above upper_deg about {}: {} > {}", "xyz"[i], l.lower_deg[i], l.upper_deg[i]));
         if (l.lower_deg[i] < -360 || l.upper_deg[i] > 360)
           t.fail("lower_deg", "and upper_deg must lie from -360 to 360");
+      }
+      if (t.has("usual_lower_deg") || t.has("usual_upper_deg")) {
+        l.usual_lower_deg = t.vector3("usual_lower_deg", l.lower_deg);
+        l.usual_upper_deg = t.vector3("usual_upper_deg", l.upper_deg);
+        for (int i = 0; i < 3; ++i)
+          if (!(l.lower_deg[i] <= (*l.usual_lower_deg)[i] && (*l.usual_lower_deg)[i] <= (*l.usual_upper_deg)[i] &&
+                (*l.usual_upper_deg)[i] <= l.upper_deg[i]))
+            t.fail("usual_lower_deg", fmt::format("and usual_upper_deg must lie within the limits about {}", "xyz"[i]));
       }
       t.finish();
       s_.limits.push_back(l);

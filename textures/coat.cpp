@@ -27,7 +27,8 @@ enum Stream : std::uint64_t {
   freckle_group,
   shade_blotch,
   part_border,
-  part_mottle
+  part_mottle,
+  cell_border
 };
 
 std::uint32_t key(std::uint64_t seed, Stream stream, std::uint64_t more = 0) {
@@ -188,7 +189,7 @@ vec3 part_color(const PartColor& p, double depth, double deepest, const HidePoin
     const dvec3 q = h.at / p.mottle_scale;
     const double v = gradient_noise(q, noise_key + 10) + 0.5 * gradient_noise(2.3 * q, noise_key + 11);
     const double t = exceeded_by(p.mottle_share);
-    color = glm::mix(color, *p.mottle, static_cast<float>(ramp(t - 0.06, t + 0.06, v)));
+    color = glm::mix(color, *p.mottle, static_cast<float>(ramp(t - 0.13, t + 0.13, v)));
   }
   if (p.tip) {
     const double way = depth / std::max(deepest, 1e-6) + 0.12 * gradient_noise(h.at / 0.02, noise_key + 12);
@@ -228,6 +229,7 @@ ReadyCoat ready_coat(const ProceduralCoat& coat, const Hide& hide) {
     ready.color_parts.push_back(hide.pattern(p.part));
     ready.part_depths.push_back(hide.deepest[ready.color_parts.back()]);
   }
+  if (const auto* cells = std::get_if<CellPattern>(&coat.base)) ready.cells = strew_cells(*cells, hide, coat.seed);
   if (const auto* pattern = std::get_if<PatchPattern>(&coat.base)) {
     std::vector<double> levels;
     std::vector<float> inside;
@@ -254,9 +256,13 @@ double patch_depth(const ReadyCoat& coat, const HidePoint& point) {
 
 vec3 coat_color(const ReadyCoat& ready, const HidePoint& h) {
   const ProceduralCoat& coat = ready.coat;
-  vec3 color = std::holds_alternative<PatchPattern>(coat.base)
-                   ? patches(ready, std::get<PatchPattern>(coat.base), h)
-                   : plain_color(std::get<PlainPattern>(coat.base), h.at, coat.seed);
+  vec3 color;
+  if (const auto* p = std::get_if<PatchPattern>(&coat.base))
+    color = patches(ready, *p, h);
+  else if (const auto* c = std::get_if<CellPattern>(&coat.base))
+    color = cell_color(*c, ready.cells, h, key(coat.seed, cell_border));
+  else
+    color = plain_color(std::get<PlainPattern>(coat.base), h.at, coat.seed);
   color = glm::mix(color, coat.freckles.color, static_cast<float>(freckles_cover(coat.freckles, h, coat.seed)));
   for (std::size_t i = 0; i < coat.marks.size(); ++i)
     if (!ready.mark_frames[i].empty())

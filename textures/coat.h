@@ -12,6 +12,7 @@
 
 #include "generator/core/image.h"
 #include "generator/core/math.h"
+#include "textures/cells.h"
 #include "textures/hide.h"
 
 namespace moomill {
@@ -83,7 +84,7 @@ struct PartColor {
 };
 
 struct ProceduralCoat {
-  std::variant<PatchPattern, PlainPattern> base;
+  std::variant<PatchPattern, PlainPattern, CellPattern> base;
   Freckles freckles;
   std::vector<Mark> marks;
   std::vector<Shade> shades;
@@ -102,14 +103,15 @@ struct OwnMaterials {};
 
 struct Coat {
   std::string name;
+  std::variant<ProceduralCoat, ImageCoat, OwnMaterials> source;
   std::string about;       // one line for people
   std::string looks_like;  // another coat it is meant to be hard to tell from; empty for none
-  std::variant<ProceduralCoat, ImageCoat, OwnMaterials> source;
 };
 
 // A coat fitted to one animal: patches begin where they cover their share of this very surface, names are looked up.
 struct ReadyCoat {
   ProceduralCoat coat;
+  CellField cells;                        // of a CellPattern
   double threshold = 0;                   // patch level where patches begin
   double floor = 0, height = 1;           // metres
   std::vector<PartFrame> mark_frames;     // per mark: centre, axes and radii in metres; empty where the part is missing

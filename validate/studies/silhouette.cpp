@@ -13,7 +13,14 @@
 namespace moomill {
 namespace {
 
-constexpr int coarse_pixels = 128, fine_pixels = 512;  // along the longest side of the reference
+// The search, from coarse to fine pictures: pixels along the longest side of the reference, starts, generations, first
+// step (of a unit below), and how much it costs to lie outside, per mean share of the length (see pull).
+struct Level {
+  int pixels, starts, generations;
+  double step, pull;
+};
+constexpr Level levels[] = {{64, 3, 250, 0.5, 10}, {128, 2, 250, 0.2, 0}, {384, 1, 50, 0.03, 0}};
+constexpr int population = 14;
 constexpr double measured_pixel = 0.002;               // metres, of the overlap that is reported
 // What a parameter of 1 stands for: one step of the search moves everything by about as much.
 constexpr double offset_unit = 0.1, log_scale_unit = 0.1, turn_unit_deg = 10;
@@ -173,6 +180,23 @@ class Fitting {
   std::vector<double> lower_, upper_;
 };
 
+// For every pixel, how far the nearest set pixel is: metres, by steps to the eight neighbours (an error below 8 %).
+std::vector<float> distance_to_set(const Image8& image, double pixel) {
+  std::vector<float> d(image.data.size());
+  for (std::size_t i = 0; i < d.size(); ++i) d[i] = image.data[i] ? 0.0f : 1e9f;
+  const auto straight = static_cast<float>(pixel), diagonal = static_cast<float>(pixel * std::sqrt(2.0));
+  const auto relax = [&](int x, int y, int dx, int dy) {
+    if (x + dx < 0 || x + dx >= image.width || y + dy < 0 || y + dy >= image.height) return;
+    float& here = d[image.index(x, y)];
+    here = std::min(here, d[image.index(x + dx, y + dy)] + (dx && dy ? diagonal : straight));
+  };
+  for (int y = 0; y < image.height; ++y)
+    for (int x = 0; x < image.width; ++x) relax(x, y, -1, 0), relax(x, y, -1, -1), relax(x, y, 0, -1), relax(x, y, 1, -1);
+  for (int y = image.height; y-- > 0;)
+    for (int x = image.width; x-- > 0;) relax(x, y, 1, 0), relax(x, y, 1, 1), relax(x, y, 0, 1), relax(x, y, -1, 1);
+  return d;
+}
+
 std::string letters_of_axis(int axis) {
   return axis == 0 ? "roll (x)" : axis == 1 ? "pitch (y)" : "yaw (z)";
 }
@@ -181,22 +205,30 @@ std::string letters_of_axis(int axis) {
 
 Image8 draw_silhouette(const SilhouetteMesh& mesh, const std::array<int, 2>& axes, const SilhouetteGrid& grid) {
   Image8 out(grid.width, grid.height, 1);
+  std::vector<dvec2> points;  // in pixels; centres are at whole numbers
+  points.reserve(mesh.points.size());
+  const double per_metre = 1 / grid.pixel;
+  for (const dvec3& p : mesh.points)
+    points.emplace_back((p[axes[0]] - grid.lower.x) * per_metre - 0.5, (p[axes[1]] - grid.lower.y) * per_metre - 0.5);
   for (const uvec3& t : mesh.triangles) {
-    dvec2 p[3];  // in pixels; centres are at whole numbers
-    for (int k = 0; k < 3; ++k)
-      for (int a = 0; a < 2; ++a) p[k][a] = (mesh.points[t[k]][axes[a]] - grid.lower[a]) / grid.pixel - 0.5;
+    const dvec2 p[3] = {points[t[0]], points[t[1]], points[t[2]]};
     const double low = std::min({p[0].y, p[1].y, p[2].y}), high = std::max({p[0].y, p[1].y, p[2].y});
     const int first = static_cast<int>(std::ceil(std::max(low, 0.0)));
     const int last = static_cast<int>(std::floor(std::min(high, grid.height - 1.0)));
+    if (first > last) continue;
+    double slope[3];  // along the edge from corner k
+    for (int k = 0; k < 3; ++k) {
+      const dvec2 d = p[(k + 1) % 3] - p[k];
+      slope[k] = d.y == 0 ? 0 : d.x / d.y;
+    }
     for (int row = first; row <= last; ++row) {
       double left = std::numeric_limits<double>::infinity(), right = -left;
       for (int k = 0; k < 3; ++k) {
         const dvec2 &a = p[k], &b = p[(k + 1) % 3];
         if ((a.y < row && b.y < row) || (a.y > row && b.y > row)) continue;
-        const bool level = a.y == b.y;
-        const double x = level ? a.x : a.x + (row - a.y) / (b.y - a.y) * (b.x - a.x), y = level ? b.x : x;
-        left = std::min({left, x, y});
-        right = std::max({right, x, y});
+        const double x = a.x + (row - a.y) * slope[k], other = a.y == b.y ? b.x : x;
+        left = std::min({left, x, other});
+        right = std::max({right, x, other});
       }
       const int from = static_cast<int>(std::ceil(std::max(left, 0.0)));
       const int to = static_cast<int>(std::floor(std::min(right, grid.width - 1.0)));
@@ -273,18 +305,30 @@ SilhouetteFit fit_silhouettes(const Species& species, const SilhouetteReference&
   const Rig whole = thinned(rig, rest, part_out, 0);
   if (whole.surface.triangles.empty()) input_error("{}: every part is left out by the patterns of '{}'", rig.source, reference.name);
 
-  const auto cost_on = [&](const Rig& shape, double pixel) {
+  // One less the mean overlap. While `pull` is positive, what of ours lies outside also costs by how far out it is:
+  // else a leg beside that of the reference would not know which way to go.
+  const auto cost_on = [&](const Rig& shape, double pixel, double pull) {
     std::array<SilhouetteGrid, 3> grids;
     std::array<Image8, 3> wanted;
+    std::array<std::vector<float>, 3> distance;
+    std::array<double, 3> area{};  // pixels
     for (int v = 0; v < 3; ++v) {
       grids[v] = grid_over(target, silhouette_axes[v], pixel, 0.1 * longest);
       wanted[v] = draw_silhouette(mesh, silhouette_axes[v], grids[v]);
+      distance[v] = distance_to_set(wanted[v], pixel);
+      for (const std::uint8_t set : wanted[v].data) area[v] += set;
     }
-    return [&fitting, &shape, grids, wanted](const std::vector<double>& p) {
+    return [&fitting, &shape, pull, grids, wanted, distance, area](const std::vector<double>& p) {
       const SilhouetteMesh ours = fitting.posed(shape, p);
-      double sum = 0;
-      for (int v = 0; v < 3; ++v) sum += intersection_over_union(wanted[v], draw_silhouette(ours, silhouette_axes[v], grids[v]));
-      return 1 - sum / 3 + fitting.excess(p);
+      double sum = 0, outside = 0;
+      for (int v = 0; v < 3; ++v) {
+        const Image8 drawn = draw_silhouette(ours, silhouette_axes[v], grids[v]);
+        sum += intersection_over_union(wanted[v], drawn);
+        double far = 0;
+        for (std::size_t i = 0; i < drawn.data.size(); ++i) far += drawn.data[i] * distance[v][i];
+        if (area[v] > 0) outside += far / area[v];
+      }
+      return 1 - sum / 3 + pull * outside / 3 + fitting.excess(p);
     };
   };
 
@@ -297,25 +341,18 @@ SilhouetteFit fit_silhouettes(const Species& species, const SilhouetteReference&
     p[3 + k] = std::log(by) / log_scale_unit;
     p[k] = (target.centre()[k] - by * own.centre()[k]) / offset_unit;
   }
-  const int population = 4 + static_cast<int>(3 * std::log(static_cast<double>(p.size()))) / 2 * 2;
-  {
-    const double pixel = longest / coarse_pixels;
+  for (const Level& level : levels) {
+    const double pixel = longest / level.pixels;
     const dvec3 by = Fitting::scale(p);
-    const Rig coarse = thinned(rig, rest, part_out, 0.7 * pixel / std::max({by.x, by.y, by.z}));
-    const auto cost = cost_on(coarse, pixel);
+    const Rig shape = thinned(rig, rest, part_out, 1.5 * pixel / std::max({by.x, by.y, by.z}));
+    const auto cost = cost_on(shape, pixel, level.pull / longest);
     std::vector<double> best;
     double least = std::numeric_limits<double>::infinity();
-    for (std::uint64_t start = 0; start < 3; ++start) {
-      std::vector<double> found = minimise(cost, p, {population, 200, 0.5, start});
+    for (int start = 0; start < level.starts; ++start) {
+      std::vector<double> found = minimise(cost, p, {population, level.generations, level.step, static_cast<std::uint64_t>(start)});
       if (const double value = cost(found); value < least) least = value, best = std::move(found);
     }
     p = best;
-  }
-  {
-    const double pixel = longest / fine_pixels;
-    const dvec3 by = Fitting::scale(p);
-    const Rig fine = thinned(rig, rest, part_out, 0.7 * pixel / std::max({by.x, by.y, by.z}));
-    p = minimise(cost_on(fine, pixel), p, {population, 50, 0.1, 3});
   }
 
   fit.offset = Fitting::offset(p);
