@@ -96,12 +96,24 @@ Paint constant_paint(const vec3& color, int coats) {
 
 }  // namespace
 
-double baked_coat_bytes(int resolution) { return 3.0 * resolution * resolution; }
-
-double picture_bytes(int width, int height) { return 4.0 * sizeof(float) * width * height; }
-
-int coats_per_batch(int width, int height, double bytes) {
-  return static_cast<int>(std::clamp(bytes / picture_bytes(width, height), 1.0, 32.0));
+BatchPlan plan_batches(const SceneSpec& scene) {
+  constexpr double most_coats = 32;
+  const double memory = scene.render.memory_mb * 1e6, eighth = memory / 8;
+  const double resolution = scene.render.coat_resolution, animals = static_cast<double>(scene.animals.size());
+  const double baked = 3 * resolution * resolution * animals;
+  const double picture = 4.0 * sizeof(float) * scene.cameras.width * scene.cameras.height;
+  const double each = std::max(baked, picture);
+  if (each > eighth)
+    input_error("{}: render.memory_mb = {:.0f} is too little for one coat of {} x {} texels and pictures of {} x {}; give it {:.0f}, or a smaller "
+                "coat_resolution", scene.file, scene.render.memory_mb, resolution, resolution, scene.cameras.width, scene.cameras.height,
+                std::ceil(8 * each / 1e6));
+  BatchPlan plan;
+  const double n = static_cast<double>(scene.coat_indices.size());
+  plan.coats = static_cast<int>(std::min({most_coats, std::floor(eighth / each), std::max(1.0, n)}));
+  const double batches = std::ceil(n / plan.coats);
+  plan.kept = static_cast<int>(std::clamp(std::floor(memory / 4 / (baked * plan.coats)), 1.0, std::max(1.0, batches)));
+  plan.bytes = plan.coats * baked * (plan.kept + std::clamp(batches - plan.kept, 0.0, 2.0)) + 2 * plan.coats * picture;
+  return plan;
 }
 
 struct Wardrobe::State {
@@ -274,19 +286,14 @@ Wardrobe::Wardrobe(const SceneSpec& scene, const std::vector<const Species*>& sp
   bare_ = std::move(bare);
   if (!with_light) return;
 
-  const double memory = scene.render.memory_mb * 1e6;
-  const std::size_t n = scene.coat_indices.size();
-  const auto lanes = static_cast<std::size_t>(coats_per_batch(scene.cameras.width, scene.cameras.height, memory / 4));
+  const BatchPlan plan = plan_batches(scene);
+  const std::size_t n = scene.coat_indices.size(), lanes = static_cast<std::size_t>(plan.coats);
   for (std::size_t first = 0; first < n; first += lanes)
     batches_.emplace_back(scene.coat_indices.begin() + first, scene.coat_indices.begin() + std::min(n, first + lanes));
-  double batch_bytes = 0;
-  for (const AnimalSpec& a : scene.animals)
-    batch_bytes += baked_coat_bytes(scene.render.coat_resolution) * static_cast<double>(std::min(lanes, n)) *
-                   (a.coats.empty() ? 0 : 1);
   state_->kept.resize(batches_.size());
   state_->in_use.resize(batches_.size());
-  state_->most_kept = static_cast<std::size_t>(std::max(1.0, memory / 2 / std::max(1.0, batch_bytes)));
-  // A lone batch is made now, so that what is wrong with a coat is said before anything is rendered.
+  state_->most_kept = static_cast<std::size_t>(plan.kept);
+  // The first batch is made now, so that what is wrong with a coat is said before anything is rendered.
   dress(0);
 }
 
