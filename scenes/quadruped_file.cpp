@@ -90,6 +90,17 @@ Solid read_solid(TomlReader r, const Joints& joints) {
   return s;
 }
 
+// Another size of the same animal: every length of it.
+void scale_spec(QuadrupedSpec& spec, double factor) {
+  spec.target_edge *= factor;
+  spec.grid *= factor;
+  for (QuadrupedJoint& joint : spec.joints) joint.at *= factor;
+  for (Solid& solid : spec.solids) {
+    solid.blend *= factor, solid.cap_start *= factor, solid.cap_end *= factor;
+    for (SolidSection& s : solid.sections) s.at *= factor, s.side *= factor, s.up *= factor, s.down *= factor;
+  }
+}
+
 }  // namespace
 
 LegSpec read_leg(TomlReader r) {
