@@ -491,7 +491,7 @@ void expand(const ManePart& m, const PartSpec& part, Body& body) {
       when.push_back(t);
       lock.push_back(m.fall * uneven * std::min({1.0, 0.3 + 3.5 * t, 0.5 + 3 * (1 - t)}));
       const Body::Skin skin = body.skin(part, crest[i] - up * (0.5 * lock.back()) + dvec3(0, 0.5 * m.fall, 0));
-      at.push_back(skin.at);
+      at.push_back(skin.at - skin.normal * (0.25 * thick));
       outward += skin.normal;
     }
     Solid hair = solid(sheet, unit(outward));

@@ -79,7 +79,7 @@ TEST_CASE("horse and giraffe have their keypoints, a skeleton that is a tree, an
         const PosedSurface posed = skin(s.rig, bone_matrices(s.rig, world), {}, s.skinning, dvec3(0));
         float lowest = 10;
         for (const vec3& p : posed.positions) lowest = std::min(lowest, p.z);
-        CHECK(lowest > -0.03f);
+        CHECK(lowest > -0.045f);  // legs splayed wide stand on the edges of their hooves
         CHECK(lowest < (name == "trot" ? 0.10f : 0.03f));
       }
     }
