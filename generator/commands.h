@@ -59,8 +59,18 @@ int run_rig_compare(const CompareCommand& command);
 
 struct CoatBakeCommand {
   std::string coat, rig, out;
+  std::string breed;  // instead of a coat: individuals of this breed, into the folder `out`
+  int count = 12, first = 0;
+  std::uint64_t seed = 0;
   int resolution = 2048;
 };
+struct IndividualsCommand {
+  std::string species, breed, out;
+  int count = 10000;
+  std::uint64_t seed = 0;
+};
+int run_coat_individuals(const IndividualsCommand& command);
+
 int run_coat_list(const std::string& species);
 int run_coat_bake(const CoatBakeCommand& command);
 int run_coat_compare(const std::string& species, const std::string& folder);
@@ -68,6 +78,7 @@ int run_coat_compare(const std::string& species, const std::string& folder);
 int run_rig_info(const std::string& rig);
 int run_rig_check(const std::string& rig);
 int run_rig_build(const std::string& spec, const std::string& out);
+int run_rig_bind(const std::string& mesh, const std::string& keypoints, const std::string& out);
 int run_rig_motion(const std::string& source, int samples, const std::string& folder);
 int run_rig_deform(const std::string& scene, const SceneOptions& options, const std::string& folder);
 

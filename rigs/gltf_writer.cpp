@@ -168,6 +168,38 @@ std::vector<int> used_bones(const Rig& rig, const MeshPart& part) {
   return {used.begin(), used.end()};
 }
 
+// Unit tangents along u with the side that -v is on (glTF 3.7.2.1: bitangent = cross(normal, tangent) * w, where green of
+// a normal map points), four floats a vertex, Y up. Without them every viewer makes up its own.
+std::vector<float> tangents(const Surface& s, const MeshPart& part) {
+  std::vector<dvec3> along(part.vertex_count, dvec3(0));
+  std::vector<double> side(part.vertex_count, 0);
+  for (std::size_t i = part.first_triangle; i < part.first_triangle + part.triangle_count; ++i) {
+    const uvec3& t = s.triangles[i];
+    const dvec3 e1 = dvec3(s.rest[t[1]]) - dvec3(s.rest[t[0]]), e2 = dvec3(s.rest[t[2]]) - dvec3(s.rest[t[0]]);
+    const dvec2 d1 = dvec2(s.uvs[t[1]]) - dvec2(s.uvs[t[0]]), d2 = dvec2(s.uvs[t[2]]) - dvec2(s.uvs[t[0]]);
+    const double det = d1.x * d2.y - d1.y * d2.x, sign = det < 0 ? -1 : 1;
+    const dvec3 u = sign * (e1 * d2.y - e2 * d1.y);
+    const double length = glm::length(u), area = glm::length(glm::cross(e1, e2));
+    if (det == 0 || !(length > 0)) continue;
+    for (int k = 0; k < 3; ++k) {
+      along[t[k] - part.first_vertex] += area / length * u;
+      side[t[k] - part.first_vertex] -= area * sign;
+    }
+  }
+  std::vector<float> out;
+  out.reserve(4 * std::size_t{part.vertex_count});
+  for (std::size_t v = 0; v < part.vertex_count; ++v) {
+    const dvec3 n(s.normals[part.first_vertex + v]);
+    dvec3 x = along[v] - n * glm::dot(n, along[v]);
+    if (!(glm::length(x) > 1e-9 * glm::length(along[v])) || !(glm::length(x) > 0))
+      x = glm::cross(n, std::abs(n.x) < 0.6 ? dvec3(1, 0, 0) : dvec3(0, 1, 0));  // no u here: any will do
+    const vec3 unit = to_y_up(vec3(glm::normalize(x)));
+    for (int k = 0; k < 3; ++k) out.push_back(unit[k] + 0.0f);  // no -0
+    out.push_back(side[v] < 0 ? -1.0f : 1.0f);
+  }
+  return out;
+}
+
 // One skin with all bones, in order; or, where two bones hang on one node (which a glTF skin must not have), one skin
 // per part with the bones that it uses.
 void Writer::write_meshes(json& own) {
@@ -209,6 +241,11 @@ void Writer::write_meshes(json& own) {
                        {"NORMAL", accessor(flat(&s.normals[v0], count, true), "VEC3", f32, 3, vertices_target)}};
     if (!s.uvs.empty())
       attributes["TEXCOORD_0"] = accessor(flat(&s.uvs[v0], count, false), "VEC2", f32, 2, vertices_target);
+    bool bumpy = false;
+    for (std::size_t t = part.first_triangle; t < part.first_triangle + part.triangle_count; ++t)
+      bumpy = bumpy || rig.materials[s.materials[t]].normal_texture.image >= 0;
+    if (bumpy && !s.uvs.empty())
+      attributes["TANGENT"] = accessor(tangents(s, part), "VEC4", f32, 4, vertices_target);
     if (!s.colors.empty())
       attributes["COLOR_0"] = accessor(flat(&s.colors[v0], count, false), "VEC3", f32, 3, vertices_target);
     if (!s.nnopcs.empty())

@@ -538,6 +538,10 @@ AtlasChecks check_atlas(const Surface& s, int resolution) {
       }
   }
   for (std::size_t i = 0; i < n * n; ++i) found.covered += owner[i] != none, found.twice += again[i];
+  if (const auto first = std::find(again.begin(), again.end(), std::uint8_t{1}); first != again.end()) {
+    const std::size_t i = static_cast<std::size_t>(first - again.begin());
+    found.first_twice = dvec2(static_cast<double>(i % n) + 0.5, static_cast<double>(i / n) + 0.5) / static_cast<double>(n);
+  }
   const auto summarise = [&](std::vector<std::pair<double, double>>& values, std::array<double, 3>& out,
                              const std::array<double, 3>& shares) {
     std::sort(values.begin(), values.end());

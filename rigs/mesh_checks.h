@@ -66,6 +66,7 @@ struct AtlasChecks {
   std::size_t texels = 0;   // of the raster below
   std::size_t covered = 0;  // texels whose centre some triangle covers
   std::size_t twice = 0;    // texels whose centre is covered more than once; repeated use counts as overlap
+  dvec2 first_twice{0};     // UV of the first such texel
   double occupancy() const { return texels ? static_cast<double>(covered) / static_cast<double>(texels) : 0; }
   double overlap() const { return texels ? static_cast<double>(twice) / static_cast<double>(texels) : 0; }
   // Atlas sides per metre of surface (square root of the ratio of areas): percentiles 5, 50, 95 by surface area.

@@ -339,12 +339,22 @@ class MotionBuilder {
     return p;
   }
 
-  // Folded, lying on the ground from its fold joint down.
-  LegPose lie(const Frame& frame, const Leg& leg, const RestSpec& r) const {
-    LegPose p;
+  // Lying on the ground from its fold joint down, or `amount` of the way there from standing as `from` does: the lower leg
+  // turns over while the fold joint goes to its place, as high as the skin below it needs and, on the way, a little more.
+  LegPose lie(const Frame& frame, const Leg& leg, const RestSpec& r, const LegPose& from, double amount) const {
     dvec3 target = skeleton_.at[leg.fold] + leg_length_ * dvec3(r.at.x, leg.side * r.at.y, 0);
-    target.z = 0;
-    for (int round = 0; round < 4; ++round) {  // as high as its skin needs
+    target.z = 0.1 * leg_length_;
+    double pitch = r.pitch_deg * degrees;
+    LegPose p = from;
+    if (amount < 1) {
+      Frame f = frame;
+      apply(f, leg, from);
+      const Placement fold = place(skeleton_, f, leg.fold);
+      target = glm::mix(fold.at, target, amount);
+      pitch = glm::mix(pitch_of(fold.turn), pitch, amount);
+    }
+    const double clearance = amount < 1 ? 0.02 * leg_length_ * std::pow(std::sin(pi * amount), 2) : 0.0;
+    for (int round = 0; round < 6; ++round) {
       Frame f = frame;
       p.blade = blade_turn(f, leg, skeleton_.at[leg.fold], target);
       const Placement top = hang(f, leg, p.blade);
@@ -354,11 +364,13 @@ class MotionBuilder {
                                          range(leg.swing, 0), range(leg.bend, 1), 0.0);
       p.pitch = angles.pitch, p.roll = angles.roll, p.bend = angles.bend;
       const dquat upper = top.turn * about_y(p.pitch) * about_x(p.roll) * about_y(p.bend);
-      p.fold = range(leg.fold, 1).clamp(r.pitch_deg * degrees - pitch_of(upper));
-      p.pastern = range(leg.pastern, 1).clamp(r.pastern_deg * degrees);
+      p.fold = range(leg.fold, 1).clamp(pitch - pitch_of(upper));
+      p.pastern = range(leg.pastern, 1).clamp(glm::mix(from.pastern, r.pastern_deg * degrees, amount));
       p.hoof = upper * about_y(p.fold) * about_y(p.pastern);
+      if (amount < 1) p.hoof = glm::slerp(from.hoof, p.hoof, smooth(3 * amount));
       apply(f, leg, p, false);
-      target.z -= leg.lower.lowest(skeleton_, place_all(skeleton_, f));
+      const std::vector<Placement> placed = place_all(skeleton_, f);
+      target.z = placed[leg.fold].at.z + clearance - leg.lower.lowest(skeleton_, placed);
     }
     return p;
   }
@@ -407,9 +419,15 @@ class MotionBuilder {
         turn_by(measure);
         return prepared.reach[i].lowest(skeleton_, place_all(skeleton_, f)) - r.height * leg_length_;
       };
-      double low = 0, high = r.most;
-      if (above(high) > 0) low = high;
-      for (int k = 0; k < 24 && low < high; ++k) {
+      // Past straight down a neck comes up again: the first measure that gets there counts, or else the best there is.
+      constexpr int measures = 48;
+      double low = 0, high = 0, best = above(0);
+      for (int k = 1; k <= measures && best > 0; ++k) {
+        const double measure = r.most * k / measures, here = above(measure);
+        if (here >= best) continue;
+        best = here, low = here > 0 ? measure : r.most * (k - 1) / measures, high = measure;
+      }
+      for (int k = 0; k < 20 && low < high; ++k) {
         const double middle = 0.5 * (low + high);
         (above(middle) > 0 ? low : high) = middle;
       }
@@ -431,13 +449,7 @@ class MotionBuilder {
         if (const double amount = rest_amount(*r, time); amount > resting) resting = amount, rest = r;
       LegPose p;
       if (resting < 1) p = plant(f, leg, foot);
-      if (rest) {
-        const LegPose q = lie(f, leg, *rest);
-        const auto mix = [&](double x, double y) { return x + (y - x) * resting; };
-        p = {mix(p.blade, q.blade), mix(p.pitch, q.pitch), mix(p.roll, q.roll),
-             mix(p.bend, q.bend),   mix(p.fold, q.fold),   mix(p.pastern, q.pastern),
-             glm::slerp(p.hoof, q.hoof, resting)};
-      }
+      if (rest) p = lie(f, leg, *rest, p, resting);
       apply(f, leg, p);
     }
     return f;

@@ -48,7 +48,7 @@ struct Solid {
 
 struct QuadrupedSpec {
   std::string source;          // file, for messages
-  double target_edge = 0.022;  // metres; what triangle edges are like where `detail` is 1
+  double target_edge = 0.024;  // metres; what triangle edges are like where `detail` is 1
   double grid = 0.007;         // metres; resolves the thinnest part, whatever the target edge
   double gutter = 0.004;       // free border around UV charts, share of the atlas' side
   int handles = 0;             // loops of the body one can reach through (its genus)

@@ -217,8 +217,9 @@ void check_weights(Rig& rig) {
       break;
     }
 
-  // Sums this near to 1 are float rounding: left alone, so that loading what was written changes no bit.
-  constexpr double rounding = 1e-6, worth_a_warning = 1e-3;
+  // Sums this near to 1 are float rounding: left alone, so that loading what was written changes no bit. The glTF
+  // validator allows twice as much a weight.
+  constexpr double rounding_of_one = 1e-7, worth_a_warning = 1e-3;
   std::size_t mended = 0;
   for (std::size_t v = 0; v < vertices; ++v) {
     double sum = 0;
@@ -237,6 +238,7 @@ void check_weights(Rig& rig) {
     }
     if (!(sum > 0))
       input_error("{}: {} has no weight on any joint, assign it to one", rig.source, vertex_place(rig, v));
+    const double rounding = rounding_of_one * (rig.influence_begin[v + 1] - rig.influence_begin[v]);
     if (std::abs(sum - 1) <= rounding) continue;
     if (std::abs(sum - 1) > worth_a_warning) ++mended;
     for (std::uint32_t i = rig.influence_begin[v]; i < rig.influence_begin[v + 1]; ++i)

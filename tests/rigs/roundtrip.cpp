@@ -154,3 +154,37 @@ TEST_CASE("Other readers of the written file pose it as we do") {
       CHECK(nearest < 1e-5);
     }
 }
+
+TEST_CASE("Meshes with a normal map are written with tangents, others without") {
+  // A square seen from above, u to the right, v downwards: the tangent is +x, and green points up the picture, to -v.
+  const auto written = [](bool mirrored, bool normal_map) {
+    Rig rig;
+    rig.source = "square";
+    rig.surface.rest = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0}, {0, 1, 0}};
+    rig.surface.normals.assign(4, vec3(0, 0, 1));
+    for (const vec3& p : rig.surface.rest) rig.surface.uvs.push_back(vec2(mirrored ? 1 - p.x : p.x, 1 - p.y));
+    rig.surface.triangles = {{0, 1, 2}, {0, 2, 3}};
+    rig.meshes = {{.name = "square", .vertex_count = 4, .triangle_count = 2}};
+    rig.nodes = {{.name = "root"}};
+    rig.meshes[0].node = 0;
+    rig.materials = {{.name = "hide"}};
+    rig.surface.materials.assign(2, 0);
+    if (normal_map) {
+      rig.images = {{"bumps", {0x89, 'P', 'N', 'G'}}};
+      rig.materials[0].normal_texture.image = 0;
+    }
+    finish_rig(rig);
+    const TempFolder folder;
+    write_glb(rig, folder.path / "a.glb");
+    return bytes_of(folder.path / "a.glb");
+  };
+  CHECK(written(false, false).find("TANGENT") == std::string::npos);
+  for (const bool mirrored : {false, true}) {
+    const std::string bytes = written(mirrored, true);
+    REQUIRE(bytes.find("\"TANGENT\"") != std::string::npos);
+    const float side = mirrored ? -1.0f : 1.0f, tangent[4] = {side, 0, 0, side};
+    std::string four;
+    for (int v = 0; v < 4; ++v) four.append(reinterpret_cast<const char*>(tangent), sizeof tangent);
+    CHECK(bytes.find(four) != std::string::npos);
+  }
+}

@@ -34,7 +34,8 @@ struct ClipResult {
   int beyond = 0;          // joint angles out of limits, samples times joints
   double excess_deg = 0;   // the worst of them
   double speed = 0;        // m/s over the ground
-  std::string worst_joint;
+  std::string worst_joint, deepest_joint;
+  double deepest_at = 0;  // seconds
 };
 
 double model_height(const Species& s) {
@@ -80,7 +81,7 @@ std::vector<Foot> find_feet(const Species& s, const std::vector<int>& dominant) 
   for (const vec3& p : neutral) low = std::min(low, static_cast<double>(p.z));
   std::vector<Foot> feet;
   for (std::uint32_t v = 0; v < neutral.size(); ++v) {
-    if (dominant[v] < 0 || neutral[v].z > low + 0.02 * model_height(s)) continue;
+    if (dominant[v] < 0 || neutral[v].z > low + 0.03 * model_height(s)) continue;
     if (std::none_of(feet.begin(), feet.end(), [&](const Foot& f) { return f.node == dominant[v]; }))
       feet.push_back(foot_of(s.rig, dominant, dominant[v]));
   }
@@ -181,13 +182,22 @@ ClipResult measure_clip(const Species& s, const Clip& clip, const std::vector<in
   }
   double ground = 0;
   r.below = std::numeric_limits<double>::infinity();
-  for (const auto& positions : shot.positions)
-    for (const vec3& p : positions) r.below = std::min(r.below, static_cast<double>(p.z));
-  if (!plan) ground = r.below;
+  for (std::size_t i = 0; i < shot.positions.size(); ++i)
+    for (std::size_t v = 0; v < shot.positions[i].size(); ++v)
+      if (const double z = shot.positions[i][v].z; z < r.below) {
+        r.below = z, r.deepest_at = shot.times[i];
+        r.deepest_joint = dominant[v] < 0 ? "" : s.rig.nodes[dominant[v]].name;
+      }
+  if (!plan) {  // where the lowest foot mostly is
+    std::vector<double> low(shot.positions.size(), std::numeric_limits<double>::infinity());
+    for (std::size_t i = 0; i < low.size(); ++i)
+      for (const Foot& foot : feet) low[i] = std::min(low[i], lowest(shot.positions[i], foot));
+    ground = median(low);
+  }
   std::vector<Stances> stances;
   for (const Foot& foot : feet)
     stances.push_back(plan ? planned_stances(*plan, foot.node, shot.times)
-                           : found_stances(shot, foot, ground, 0.01 * scale));
+                           : found_stances(shot, foot, ground, 0.015 * scale));
   // How fast bearing feet go back under the body.
   const double step = clip.duration / samples;
   dvec3 back(0);
@@ -236,9 +246,9 @@ std::string clip_table(const std::vector<ClipResult>& results) {
       "| clip | bearing feet from | bearing | speed m/s | off the ground cm | slip cm | lowest point cm | loop closes cm | "
       "angles beyond limits | worst beyond, deg |\n|---|---|---|---|---|---|---|---|---|---|\n";
   for (const ClipResult& r : results)
-    t += fmt::format("| {} | {} | {:.0f} % | {:.2f} | {:.2f} | {:.2f} | {:.2f} | {:.4f} | {} | {:.1f} {} |\n", r.name,
+    t += fmt::format("| {} | {} | {:.0f} % | {:.2f} | {:.2f} | {:.2f} | {:.2f} at {:.2f} s, {} | {:.4f} | {} | {:.1f} {} |\n", r.name,
                      r.planned ? "the plan" : "the mesh", 100 * r.bearing, r.speed, 100 * r.off_ground, 100 * r.slip,
-                     100 * r.below, 100 * r.closure, r.beyond, r.excess_deg, r.worst_joint);
+                     100 * r.below, r.deepest_at, r.deepest_joint, 100 * r.closure, r.beyond, r.excess_deg, r.worst_joint);
   return t;
 }
 
