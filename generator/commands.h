@@ -62,8 +62,18 @@ int run_rig_compare(const CompareCommand& command);
 
 struct CoatBakeCommand {
   std::string coat, rig, out;
+  std::string breed;  // instead of a coat: individuals of this breed, into the folder `out`
+  int count = 12, first = 0;
+  std::uint64_t seed = 0;
   int resolution = 2048;
 };
+struct IndividualsCommand {
+  std::string species, breed, out;
+  int count = 10000;
+  std::uint64_t seed = 0;
+};
+int run_coat_individuals(const IndividualsCommand& command);
+
 int run_coat_list(const std::string& species);
 int run_coat_bake(const CoatBakeCommand& command);
 int run_coat_compare(const std::string& species, const std::string& folder);

@@ -219,12 +219,27 @@ int run(int argc, char** argv) {
   c = add_command(*coat, "bake", "Bake a coat file over a rig's UV atlas",
                   "moomill coat bake 00_holstein --rig cow -o out/holstein.png", status,
                   [&] { return run_coat_bake(bake); });
-  c->add_option("coat", bake.coat, "coat name or .toml")->required()->type_name("COAT");
+  CLI::Option* bake_coat = c->add_option("coat", bake.coat, "coat name or .toml")->type_name("COAT");
+  c->add_option("--breed", bake.breed, "instead of a coat: individuals of this breed, into the folder -o")
+      ->type_name("BREED")
+      ->excludes(bake_coat);
+  c->add_option("--count", bake.count, "with --breed: how many; default 12")->type_name("N")->check(CLI::Range(1, 1000000));
+  c->add_option("--first", bake.first, "with --breed: index of the first; default 0")->type_name("N")->check(CLI::Range(0, 1000000));
+  c->add_option("--seed", bake.seed, "with --breed: which herd; default 0")->type_name("N");
   c->add_option("--rig", bake.rig, "species name, species file or rig file")->required()->type_name("RIG");
   c->add_option("--resolution", bake.resolution, "texels a side; default 2048")
       ->type_name("N")
       ->check(CLI::Range(1, 32768));
-  c->add_option("-o,--out", bake.out, "picture")->required()->type_name("FILE.png");
+  c->add_option("-o,--out", bake.out, "picture, or folder with --breed")->required()->type_name("FILE.png");
+  IndividualsCommand individuals;
+  c = add_command(*coat, "individuals", "Whether the individuals of a breed differ, and how they vary; exit 1 when too many are alike",
+                  "moomill coat individuals cow --breed holstein --count 10000 -o out/individuals", status,
+                  [&] { return run_coat_individuals(individuals); });
+  c->add_option("species", individuals.species, "species name")->required()->type_name("SPECIES");
+  c->add_option("--breed", individuals.breed, "breed name or .toml")->required()->type_name("BREED");
+  c->add_option("--count", individuals.count, "how many; default 10000")->type_name("N")->check(CLI::Range(2, 100000));
+  c->add_option("--seed", individuals.seed, "which herd; default 0")->type_name("N");
+  c->add_option("-o,--out", individuals.out, "folder for summary.json and table.md")->type_name("DIR");
   c = add_command(*coat, "compare", "How different the coats of a species look; exit 1 when a pair misses its bound",
                   "moomill coat compare cow -o out/coats", status,
                   [&] { return run_coat_compare(coat_species, coat_out); });

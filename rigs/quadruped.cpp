@@ -51,50 +51,6 @@ std::vector<vec3> vertex_normals(const HalfMesh& mesh) {
   return normals;
 }
 
-// Skin weights of the half mesh, dense: those of the solids, then evened out along the surface, so that they are
-// smooth where solids meet and never jump between parts that are near only through the air.
-std::vector<double> section_weights(const HalfMesh& mesh, const Field& field, const std::vector<int>& twin, double edge) {
-  const std::size_t n = mesh.positions.size(), joints = twin.size();
-  std::vector<double> weights(n * joints), next(n * joints);
-  parallel_for(n, 64, [&](std::size_t i) {
-    const Influencing f = field.influences(mesh.positions[i]);
-    std::copy(f.joint_weights.begin(), f.joint_weights.end(),
-              weights.begin() + static_cast<std::ptrdiff_t>(i * joints));
-  });
-  std::vector<std::vector<std::uint32_t>> near(n);
-  for (const uvec3& t : mesh.triangles)
-    for (int k = 0; k < 3; ++k) {
-      near[t[k]].push_back(t[(k + 1) % 3]);
-      near[t[k]].push_back(t[(k + 2) % 3]);
-    }
-  for (auto& list : near) {
-    std::sort(list.begin(), list.end());
-    list.erase(std::unique(list.begin(), list.end()), list.end());
-  }
-  // Each round spreads by about half an edge; together about 25 mm whatever the edge length.
-  const int rounds = std::clamp(static_cast<int>(std::lround(4 * std::pow(0.025 / edge, 2))), 2, 40);
-  for (int round = 0; round < rounds; ++round) {
-    parallel_for(n, 64, [&](std::size_t i) {
-      double* to = &next[i * joints];
-      std::fill(to, to + joints, 0.0);
-      double total = 0;
-      for (const std::uint32_t v : near[i]) {
-        const double* from = &weights[v * joints];
-        const bool reflect = mesh.on_midplane[i] && !mesh.on_midplane[v];  // its mirror image is a neighbour too
-        for (std::size_t j = 0; j < joints; ++j) to[j] += reflect ? from[j] + from[twin[j]] : from[j];
-        total += reflect ? 2 : 1;
-      }
-      const double* own = &weights[i * joints];
-      for (std::size_t j = 0; j < joints; ++j) to[j] = 0.5 * own[j] + 0.5 * to[j] / total;
-      if (mesh.on_midplane[i])
-        for (std::size_t j = 0; j < joints; ++j)
-          if (static_cast<std::size_t>(twin[j]) > j) to[j] = to[twin[j]] = 0.5 * (to[j] + to[twin[j]]);
-    });
-    weights.swap(next);
-  }
-  return weights;
-}
-
 // Skin weights of the half mesh, dense: the joints that the solids' sections name, evened out by heat inside the body,
 // then a little along the surface, where cells leave steps.
 std::vector<double> skin_weights(const HalfMesh& mesh, const Field& field, const std::vector<int>& twin) {
@@ -120,10 +76,7 @@ std::vector<double> skin_weights(const HalfMesh& mesh, const Field& field, const
     const Influencing f = field.influences(solid.centre(i));
     for (std::size_t j = 0; j < joints; ++j) seeds[i * joints + j] = static_cast<float>(f.joint_weights[j]);
   });
-  DiffusionOptions options;
-  if (getenv("W_REACH")) options.reach = atof(getenv("W_REACH"));
-  if (getenv("W_MOST")) options.most = atof(getenv("W_MOST"));
-  std::vector<double> weights = diffuse_weights(solid, seeds, static_cast<int>(joints), mesh.positions, options);
+  std::vector<double> weights = diffuse_weights(solid, seeds, static_cast<int>(joints), mesh.positions);
   std::vector<double> next(n * joints);
   std::vector<std::vector<std::uint32_t>> near(n);
   for (const uvec3& t : mesh.triangles)
@@ -135,7 +88,7 @@ std::vector<double> skin_weights(const HalfMesh& mesh, const Field& field, const
     std::sort(list.begin(), list.end());
     list.erase(std::unique(list.begin(), list.end()), list.end());
   }
-  const int rounds = getenv("W_ROUNDS") ? atoi(getenv("W_ROUNDS")) : 3;
+  constexpr int rounds = 3;
   for (int round = 0; round <= rounds; ++round) {
     parallel_for(n, 64, [&](std::size_t i) {
       double* to = &next[i * joints];
@@ -180,7 +133,7 @@ Rig build_quadruped(const QuadrupedSpec& spec) {
   keep_one_body(spec, field, half);
   remesh(half, field, spec.target_edge, 8);
   check_joints_inside(spec, joints, field, half);
-  const std::vector<double> weights = getenv("W_OLD") ? section_weights(half, field, twin, spec.target_edge) : skin_weights(half, field, twin);
+  const std::vector<double> weights = skin_weights(half, field, twin);
 
   const std::size_t half_triangles = half.triangles.size();
   const std::vector<vec3> normals = vertex_normals(half);
@@ -219,7 +172,7 @@ Rig build_quadruped(const QuadrupedSpec& spec) {
       s.uvs.emplace_back(static_cast<float>(chart.flat[k].x),
                          static_cast<float>(1 - chart.flat[k].y));  // (0, 0) is top left
       rig.influence_begin.push_back(static_cast<std::uint32_t>(rig.influences.size()));
-      for (Influence i : strongest_influences(&weights[v * names.size()], twin, half.on_midplane[v])) {
+      for (Influence i : strongest_influences(&weights[v * names.size()], names.size())) {
         if (right) i.bone = static_cast<std::uint32_t>(twin[i.bone]);
         rig.influences.push_back(i);
       }

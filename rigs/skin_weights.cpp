@@ -33,6 +33,30 @@ double eikonal(std::array<double, 3> t, double step, double slowness) {
   return best;
 }
 
+double distance_to(const BoneSegment& bone, const dvec3& p) {
+  const dvec3 ab = bone.to - bone.from, ap = p - bone.from;
+  const double square = glm::dot(ab, ab);
+  const double t = square > 0 ? std::clamp(glm::dot(ap, ab) / square, 0.0, 1.0) : 0.0;
+  return glm::length(ap - t * ab);
+}
+
+// Thickness handed on from thick to thin, falling by `slope` on the way: a dewlap or a fold moves with the bulk it sits on.
+std::vector<double> bulk_thickness(const VoxelSolid& solid, double slope) {
+  std::vector<double> bulk(solid.places.size(), 0.0);
+  std::priority_queue<Arrival, std::vector<Arrival>, std::greater<>> queue;  // thickest first
+  for (std::size_t i = 0; i < bulk.size(); ++i) queue.push({-solid.thickness[i], static_cast<std::int32_t>(i)});
+  while (!queue.empty()) {
+    const Arrival a = queue.top();
+    queue.pop();
+    if (bulk[a.cell] > 0) continue;
+    bulk[a.cell] = -a.time;
+    const double next = bulk[a.cell] - slope * solid.cell;
+    for (const std::int32_t j : solid.near[a.cell])
+      if (j >= 0 && bulk[j] == 0 && next > solid.thickness[j]) queue.push({-next, j});
+  }
+  return bulk;
+}
+
 // Conjugate gradients with Jacobi preconditioning on (L + diag(k)) w = diag(k) p, L the graph Laplacian of the cells.
 // Screened as it is, a few dozen steps do.
 void solve(const VoxelSolid& solid, const std::vector<double>& k, std::vector<double>& w) {
@@ -115,6 +139,36 @@ Stencil stencil_at(const VoxelSolid& solid, const dvec3& p) {
 
 }  // namespace
 
+std::vector<BoneSegment> bone_segments(const std::vector<dvec3>& joints, const std::vector<int>& parents,
+                                       const std::vector<dvec3>& points, const std::vector<double>& weights) {
+  const std::size_t count = joints.size();
+  std::vector<BoneSegment> bones;
+  for (std::size_t j = 0; j < count; ++j) {
+    double mass = 0;
+    dvec3 middle(0);
+    for (std::size_t p = 0; p < points.size(); ++p) {
+      mass += weights[p * count + j];
+      middle += weights[p * count + j] * points[p];
+    }
+    if (!(mass > 1e-6)) continue;
+    middle /= mass;
+    const std::size_t first = bones.size();
+    for (std::size_t c = 0; c < count; ++c)
+      if (parents[c] == static_cast<int>(j)) bones.push_back({static_cast<int>(j), joints[j], joints[c]});
+    if (bones.size() == first) bones.push_back({static_cast<int>(j), joints[j], joints[j] + 1.8 * (middle - joints[j])});
+    double sum = 0;
+    for (std::size_t p = 0; p < points.size(); ++p) {
+      const double w = weights[p * count + j];
+      if (!(w > 0)) continue;
+      double least = std::numeric_limits<double>::infinity();
+      for (std::size_t b = first; b < bones.size(); ++b) least = std::min(least, distance_to(bones[b], points[p]));
+      sum += w * least;
+    }
+    for (std::size_t b = first; b < bones.size(); ++b) bones[b].radius = std::max(sum / mass, 1e-3);
+  }
+  return bones;
+}
+
 Seeds seeds_of_bones(const VoxelSolid& solid, const std::vector<BoneSegment>& bones, int joints) {
   const std::size_t n = solid.places.size();
   std::vector<double> time(n, std::numeric_limits<double>::infinity());
@@ -163,10 +217,7 @@ Seeds seeds_of_bones(const VoxelSolid& solid, const std::vector<BoneSegment>& bo
     const dvec3 p = solid.centre(i);
     double least = std::numeric_limits<double>::infinity();
     for (std::size_t b = 0; b < bones.size(); ++b) {
-      const dvec3 ab = bones[b].to - bones[b].from, ap = p - bones[b].from;
-      const double square = glm::dot(ab, ab);
-      const double t = square > 0 ? std::clamp(glm::dot(ap, ab) / square, 0.0, 1.0) : 0.0;
-      const double d = glm::length(ap - t * ab) / bones[b].radius;
+      const double d = distance_to(bones[b], p) / bones[b].radius;
       if (d < least) least = d, owner[i] = static_cast<int>(b);
     }
   });
@@ -180,9 +231,11 @@ std::vector<double> diffuse_weights(const VoxelSolid& solid, const Seeds& seeds,
                                     const std::vector<dvec3>& points, const DiffusionOptions& options) {
   const std::size_t n = solid.places.size();
   check(seeds.size() == n * joints, "every cell needs a row of seeds");
+  const std::vector<double> bulk = bulk_thickness(solid, options.slope);
+  const double most = n > 0 ? options.most * *std::max_element(bulk.begin(), bulk.end()) : 0.0;
   std::vector<double> k(n);
   for (std::size_t i = 0; i < n; ++i) {
-    const double s = std::clamp(options.reach * solid.thickness[i], solid.cell, std::max(solid.cell, options.most));
+    const double s = std::max(solid.cell, std::min(options.reach * bulk[i], most));
     k[i] = solid.cell * solid.cell / (s * s);
   }
   std::vector<Stencil> stencils(points.size());
@@ -212,19 +265,18 @@ std::vector<double> diffuse_weights(const VoxelSolid& solid, const Seeds& seeds,
   return weights;
 }
 
-std::vector<Influence> strongest_influences(const double* weights, const std::vector<int>& twin, bool keep_twins) {
-  std::vector<int> order;
-  for (std::size_t j = 0; j < twin.size(); ++j)
-    if (weights[j] > 0.01) order.push_back(static_cast<int>(j));
-  std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return weights[a] > weights[b]; });
-  if (order.size() > 4) {
-    const bool torn = keep_twins && twin[order[3]] == order[4];
-    order.resize(torn ? 3 : 4);
-  }
+std::vector<Influence> strongest_influences(const double* weights, std::size_t joints) {
+  std::vector<double> left(joints);
+  for (std::size_t j = 0; j < left.size(); ++j) left[j] = weights[j];
+  std::sort(left.begin(), left.end(), std::greater<>());
+  // What the fifth weighs is taken off all: the four that stay fade out where another takes over, so none jumps.
+  const double fifth = std::max(left.size() > 4 ? left[4] : 0.0, 0.005);
   double total = 0;
-  for (const int j : order) total += weights[j];
+  for (std::size_t j = 0; j < left.size(); ++j) total += left[j] = std::max(weights[j] - fifth, 0.0);
   std::vector<Influence> result;
-  for (const int j : order) result.push_back({static_cast<std::uint32_t>(j), static_cast<float>(weights[j] / total)});
+  for (std::size_t j = 0; j < left.size(); ++j)
+    if (left[j] > 0) result.push_back({static_cast<std::uint32_t>(j), static_cast<float>(left[j] / total)});
+  std::stable_sort(result.begin(), result.end(), [](const Influence& x, const Influence& y) { return x.weight > y.weight; });
   return result;
 }
 

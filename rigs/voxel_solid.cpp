@@ -242,7 +242,7 @@ VoxelSolid voxelise(const std::vector<dvec3>& given_positions, const std::vector
   solid.cell = cell;
   if (box.empty()) return solid;
   // The middle of a cell on y = 0, so that a symmetric animal has a symmetric grid.
-  const int margin = 2;
+  const int margin = 6;  // more than gaps are closed by, so that the outside is one piece
   Grid grid;
   for (int a = 0; a < 3; ++a) {
     const double first = std::floor(box.lower[a] / cell + 0.5) - margin;

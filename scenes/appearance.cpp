@@ -47,11 +47,11 @@ class TexturePool {
   std::map<std::pair<const Rig*, int>, Image8> decoded_;
 };
 
-// What the coats of one animal share, made when the first of them is baked.
+// What the coats of one species share, made when it is first asked for.
 class Baker {
  public:
   Baker(const Species& species, const std::string& name, int resolution)
-      : species_(species), name_(name), resolution_(resolution) {}
+      : species_(species), finish_(read_finish(name)), resolution_(resolution) {}
 
   // All at once: what is learnt of the hide is learnt before any is baked.
   std::vector<std::optional<Image8>> bake(const std::vector<const ProceduralCoat*>& coats) {
@@ -60,10 +60,7 @@ class Baker {
     for (const ProceduralCoat* coat : coats) {
       if (!coat) continue;
       any = true;
-      if (!hide_) {
-        hide_ = make_hide(species_.rig.surface, species_.rig.part_names, read_finish(name_).hair);
-        texels_ = map_texels(*hide_, resolution_);
-      }
+      prepare();
       know_parts(*hide_, *coat);
     }
     if (any)
@@ -72,10 +69,20 @@ class Baker {
       });
     return out;
   }
+  FinishMaps finish() {
+    prepare();
+    return bake_finish(finish_, *hide_, texels_);
+  }
+  int normal = -1, roughness = -1;  // the finish among the appearance's textures, once it is
 
  private:
+  void prepare() {
+    if (hide_) return;
+    hide_ = make_hide(species_.rig.surface, species_.rig.part_names, finish_.hair);
+    texels_ = map_texels(*hide_, resolution_);
+  }
   const Species& species_;
-  std::string name_;
+  Finish finish_;
   int resolution_;
   std::optional<Hide> hide_;
   TexelMap texels_;
@@ -102,7 +109,7 @@ struct Wardrobe::State {
   std::vector<const Species*> species;
   StageCounts& counts;
   std::mutex mutex;
-  std::vector<Baker> bakers;
+  std::vector<std::shared_ptr<Baker>> bakers;  // per animal; animals of a species share theirs
   std::map<std::string, Breed> breeds;
   std::vector<std::vector<int>> own_textures;          // per animal, per rig material: its own base texture
   std::vector<std::shared_ptr<const Appearance>> kept;      // per batch
@@ -129,7 +136,7 @@ struct Wardrobe::State {
     std::vector<const ProceduralCoat*> procedural(coats.size(), nullptr);
     for (std::size_t i = 0; i < coats.size(); ++i)
       if ((procedural[i] = std::get_if<ProceduralCoat>(&coats[i].source))) ++counts.coats;
-    std::vector<std::optional<Image8>> out = bakers[animal].bake(procedural);
+    std::vector<std::optional<Image8>> out = bakers[animal]->bake(procedural);
     for (std::size_t i = 0; i < coats.size(); ++i) {
       const auto* file = std::get_if<ImageCoat>(&coats[i].source);
       if (!file) continue;
@@ -217,6 +224,18 @@ Wardrobe::Wardrobe(const SceneSpec& scene, const std::vector<const Species*>& sp
     const bool wears_own = spec.coats.empty() || std::find(spec.coats.begin(), spec.coats.end(), "own") != spec.coats.end();
     std::vector<int> materials;
     std::vector<int> own;
+    const auto twin = std::find(species.begin(), species.begin() + static_cast<std::ptrdiff_t>(animal), &s);
+    state_->bakers.push_back(twin != species.begin() + static_cast<std::ptrdiff_t>(animal)
+                                 ? state_->bakers[static_cast<std::size_t>(twin - species.begin())]
+                                 : std::make_shared<Baker>(s, spec.species, scene.render.coat_resolution));
+    // Whatever its coats: a coat must look the same alone and beside others.
+    if (Baker& baker = *state_->bakers.back(); with_light && has_uvs && baker.normal < 0 && !find_finish(spec.species).empty()) {
+      FinishMaps maps = baker.finish();
+      ++counts.finishes;
+      const TexturePlacement clamped{Wrap::clamp, Wrap::clamp};
+      baker.normal = pool.add(Texture{std::move(maps.normal), clamped});
+      baker.roughness = pool.add(Texture{std::move(maps.roughness), clamped});
+    }
     for (const RigMaterial& m : s.rig.materials) {
       Material out;
       out.alpha = m.alpha;
@@ -232,6 +251,13 @@ Wardrobe::Wardrobe(const SceneSpec& scene, const std::vector<const Species*>& sp
           out.normal_texture = pool.add(s, m.normal_texture);
           out.normal_scale = m.normal_scale;
         }
+        if (state_->bakers.back()->normal >= 0) {
+          out.roughness = 1;
+          out.metallic = 0;
+          out.metallic_roughness_texture = state_->bakers.back()->roughness;
+          out.normal_texture = state_->bakers.back()->normal;
+          out.normal_scale = 1;
+        }
       }
       own.push_back(with_light && wears_own && has_uvs ? pool.add(s, m.base_texture) : -1);
       materials.push_back(static_cast<int>(bare->materials.size()));
@@ -239,7 +265,6 @@ Wardrobe::Wardrobe(const SceneSpec& scene, const std::vector<const Species*>& sp
     }
     materials_.push_back(std::move(materials));
     state_->own_textures.push_back(std::move(own));
-    state_->bakers.emplace_back(s, spec.species, scene.render.coat_resolution);
   }
   if (scene.ground.present) {
     ground_material_ = static_cast<int>(bare->materials.size());

@@ -375,7 +375,10 @@ Coat individual(const Breed& breed, std::uint64_t seed, int index) {
   const Chooser chooser{std::pair(seed, static_cast<std::uint64_t>(index)), 0, 0};
   ProceduralCoat made = breed.coat->make(breed.file, chooser);
   made.seed = chooser.bits(hash_text("pattern"));
-  return {individual_name(breed.name, index), std::move(made)};
+  Coat coat;
+  coat.name = individual_name(breed.name, index);
+  coat.source = std::move(made);
+  return coat;
 }
 
 }  // namespace moomill

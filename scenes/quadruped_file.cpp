@@ -90,6 +90,17 @@ Solid read_solid(TomlReader r, const Joints& joints) {
   return s;
 }
 
+// Another size of the same animal: every length of it.
+void scale_spec(QuadrupedSpec& spec, double factor) {
+  spec.target_edge *= factor;
+  spec.grid *= factor;
+  for (QuadrupedJoint& joint : spec.joints) joint.at *= factor;
+  for (Solid& solid : spec.solids) {
+    solid.blend *= factor, solid.cap_start *= factor, solid.cap_end *= factor;
+    for (SolidSection& s : solid.sections) s.at *= factor, s.side *= factor, s.up *= factor, s.down *= factor;
+  }
+}
+
 }  // namespace
 
 LegSpec read_leg(TomlReader r) {
@@ -132,6 +143,7 @@ QuadrupedSpec read_quadruped(TomlReader r) {
     const std::vector<Solid> solids = expand_parts(parts, spec);
     spec.solids.insert(spec.solids.end(), solids.begin(), solids.end());
   }
+  if (const double scale = r.number("scale", 1, 0.01, 100); scale != 1) scale_spec(spec, scale);
   for (TomlReader& leg : r.tables("legs")) spec.legs.push_back(read_leg(leg));
   if (r.has("clips")) r.fail("clips", "has moved: one file a clip in the folder 'motion' beside this file");
   r.finish();

@@ -116,6 +116,8 @@ Manifest Mill::manifest() const {
   for (const AnimalSpec& a : spec_.animals) {
     m.scene["file_hashes"][a.species] = hash(find_species(a.species, folder));
     if (!spec_.modalities.has(Modality::rgb)) continue;
+    if (const auto file = find_finish(a.species); !file.empty())
+      m.scene["file_hashes"][fmt::format("finish of {}", a.species)] = hash(file);
     for (std::size_t i = 0; i < a.coats.size(); ++i) {
       const Individual* one = a.individual(i);
       const std::string key = one ? "breed " + one->breed : a.coats[i];

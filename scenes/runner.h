@@ -15,7 +15,7 @@ namespace moomill {
 
 // How often each stage ran: what a scene does not need stays at 0, and tests hold it to that.
 struct StageCounts {
-  std::atomic<std::uint64_t> species{0}, images{0}, coats{0}, environments{0}, skins{0}, hierarchies{0}, first_hits{0},
+  std::atomic<std::uint64_t> species{0}, images{0}, coats{0}, finishes{0}, environments{0}, skins{0}, hierarchies{0}, first_hits{0},
       radiance{0}, coverage{0}, keypoints{0}, occlusion{0};
 };
 

@@ -189,7 +189,7 @@ vec3 part_color(const PartColor& p, double depth, double deepest, const HidePoin
     const dvec3 q = h.at / p.mottle_scale;
     const double v = gradient_noise(q, noise_key + 10) + 0.5 * gradient_noise(2.3 * q, noise_key + 11);
     const double t = exceeded_by(p.mottle_share);
-    color = glm::mix(color, *p.mottle, static_cast<float>(ramp(t - 0.06, t + 0.06, v)));
+    color = glm::mix(color, *p.mottle, static_cast<float>(ramp(t - 0.13, t + 0.13, v)));
   }
   if (p.tip) {
     const double way = depth / std::max(deepest, 1e-6) + 0.12 * gradient_noise(h.at / 0.02, noise_key + 12);

@@ -302,10 +302,13 @@ HidePoint hide_point(const Hide& hide, std::uint32_t triangle, const dvec3& w, s
 
 float hair_streak(const Hair& hair, const dvec3& at, const vec3& direction) {
   constexpr std::uint32_t key = 0x68a1u;
-  constexpr std::array<double, 5> weight = {0.5, 1, 1, 1, 0.5};
-  const dvec3 step = dvec3(direction) * (0.25 * hair.tuft_length / hair.tuft_width), from = at / hair.tuft_width;
+  constexpr std::array<double, 7> weight = {0.3, 0.7, 0.95, 1, 0.95, 0.7, 0.3};
+  // Turned out of the axes, or hair that runs along one would meet the noise's lattice again and again.
+  static const dmat3 turn(dvec3(0.36, 0.48, -0.8), dvec3(-0.8, 0.6, 0), dvec3(0.48, 0.64, 0.6));
+  const dvec3 step = turn * dvec3(direction) * (hair.tuft_length / (6 * hair.tuft_width)),
+              from = turn * at / hair.tuft_width;
   double sum = 0;
-  for (int k = 0; k < 5; ++k) sum += weight[k] * gradient_noise(from + (k - 2.0) * step, key);
+  for (int k = 0; k < 7; ++k) sum += weight[k] * gradient_noise(from + (k - 3.0) * step, key);
   return static_cast<float>(sum);
 }
 

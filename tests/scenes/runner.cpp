@@ -37,6 +37,7 @@ TEST_CASE("labels alone load no coat, no light, and trace no path") {
   CHECK(c.first_hits == 1);
   CHECK(c.hierarchies == 1);
   CHECK(c.coats == 0);
+  CHECK(c.finishes == 0);
   CHECK(c.images == 0);
   CHECK(c.environments == 0);
   CHECK(c.radiance == 0);
@@ -50,6 +51,7 @@ TEST_CASE("colour alone traces no labels and bakes only the coats asked for") {
   const View view = view_of(mill);
   const StageCounts& c = mill.counts();
   CHECK(c.coats == 2);
+  CHECK(c.finishes == 1);
   CHECK(c.radiance == 1);
   CHECK(c.first_hits == 0);
   CHECK(c.keypoints == 0);
