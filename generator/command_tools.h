@@ -1,5 +1,6 @@
 #pragma once
 // What several commands share.
+#include <atomic>
 #include <cstdio>
 #include <filesystem>
 #include <string>
@@ -16,5 +17,10 @@ inline void print(const std::string& text) {
 inline void require_extension(const std::string& option, const std::string& file, const std::string& extension) {
   if (std::filesystem::path(file).extension() != extension) input_error("{} {}: the file must end in {}", option, file, extension);
 }
+
+class ProgressBar;
+struct GenerateOptions;
+// With the bar that shows how far it is, and the flag that ends it early.
+GenerateOptions generate_options(const std::filesystem::path& out, ProgressBar& bar, std::atomic<bool>& stop);
 
 }  // namespace moomill

@@ -1,15 +1,11 @@
 #include "generator/commands.h"
 
 #include <spdlog/spdlog.h>
-#include <unistd.h>
-
 #include <algorithm>
 #include <cstdio>
 
 #include "generator/command_tools.h"
 #include "generator/core/error.h"
-#include "generator/dataset/codecs.h"
-#include "generator/dataset/contact_sheet.h"
 #include "generator/progress_bar.h"
 #include "scenes/generate.h"
 #include "validate/checks.h"
@@ -25,6 +21,8 @@ SceneSpec scene_of(const std::string& file, const SceneOptions& options) {
   return scene;
 }
 
+}  // namespace
+
 GenerateOptions generate_options(const fs::path& out, ProgressBar& bar, std::atomic<bool>& stop) {
   GenerateOptions options;
   options.out = out;
@@ -34,57 +32,6 @@ GenerateOptions generate_options(const fs::path& out, ProgressBar& bar, std::ato
   };
   return options;
 }
-
-// A folder that is gone again at the end.
-class TemporaryFolder {
- public:
-  TemporaryFolder() {
-    std::string name = (fs::temp_directory_path() / "moomill-preview-XXXXXX").string();
-    if (!::mkdtemp(name.data())) run_error("no temporary folder can be made in {}", fs::temp_directory_path().string());
-    path = name;
-  }
-  ~TemporaryFolder() {
-    std::error_code ignored;
-    fs::remove_all(path, ignored);
-  }
-  TemporaryFolder(const TemporaryFolder&) = delete;
-  TemporaryFolder& operator=(const TemporaryFolder&) = delete;
-  fs::path path;
-};
-
-int preview_dataset(const fs::path& folder, const PreviewCommand& command) {
-  ContactSheetOptions options;
-  options.frame = command.frame;
-  options.camera = command.camera;
-  options.coat = command.coat;
-  const Image8 sheet = command.modalities ? modality_sheet(folder, options) : contact_sheet(folder, options);
-  const std::vector<std::uint8_t> png = encode_png8(sheet);
-  write_file_atomically(command.out, png.data(), png.size());
-  spdlog::info("{} is {} x {} pixels", command.out, sheet.width, sheet.height);
-  return 0;
-}
-
-// One frame of the scene, small and with few samples, then the sheet of that.
-int preview_scene(const PreviewCommand& command, std::atomic<bool>& stop) {
-  constexpr int width = 320, samples = 16;
-  SceneSpec scene = read_scene(command.source);
-  Overrides o;
-  o.first_frame = o.last_frame = command.frame.value_or(scene.frames.front());
-  o.coats = {command.coat.value_or(scene.coat_indices.front())};
-  if (command.modalities) o.cameras = {command.camera.value_or(cameras_of_frame(scene, *o.first_frame).front().id)};
-  o.samples = std::min(samples, scene.render.samples);
-  if (scene.cameras.width > width)
-    o.resolution = {width, std::max(1, scene.cameras.height * width / scene.cameras.width)};
-  apply_overrides(scene, o);
-  const TemporaryFolder folder;
-  {
-    ProgressBar bar("views");
-    generate(scene, generate_options(folder.path / "dataset", bar, stop));
-  }
-  return preview_dataset(folder.path / "dataset", command);
-}
-
-}  // namespace
 
 int run_plan(const PlanCommand& command) {
   const PlanReport report = plan(scene_of(command.scene, command.options));
@@ -127,16 +74,6 @@ int run_merge(const MergeCommand& command) {
   merge_datasets({command.shards.begin(), command.shards.end()}, command.out, command.allow_missing);
   spdlog::info("{} joins {} shards", command.out, command.shards.size());
   return 0;
-}
-
-int run_preview(const PreviewCommand& command, std::atomic<bool>& stop) {
-  require_extension("-o", command.out, ".png");
-  const fs::path source = command.source;
-  std::error_code ignored;
-  if (fs::is_directory(source, ignored)) return preview_dataset(source, command);
-  if (source.extension() != ".toml")
-    input_error("{} is neither a dataset folder nor a scene file; name one of them", command.source);
-  return preview_scene(command, stop);
 }
 
 int run_validate(const std::string& folder) {

@@ -39,9 +39,12 @@ struct MergeCommand {
 int run_merge(const MergeCommand& command);
 
 struct PreviewCommand {
-  std::string source, out;  // a dataset folder or a scene file; a .png
+  std::string source, out;  // a dataset folder, a scene file, a species or a rig file; a .png
   std::optional<int> frame, camera, coat;
   bool modalities = false;  // all modalities of one view instead of all views of a frame
+  std::optional<int> strip;  // so many frames of a scene from one camera
+  std::string frames;        // of the strip
+  bool coats = false;        // one view of a scene in all its coats
 };
 int run_preview(const PreviewCommand& command, std::atomic<bool>& stop);
 

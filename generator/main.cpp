@@ -151,14 +151,17 @@ int run(int argc, char** argv) {
   c->add_flag("--allow-missing", merge.allow_missing, "also when frames are missing");
 
   PreviewCommand preview;
-  c = add_command(app, "preview", "Contact sheet of a dataset or a scene", "moomill preview out/quick -o out/quick.png",
+  c = add_command(app, "preview", "Contact sheet of a dataset, a scene or a rig", "moomill preview out/quick -o out/quick.png",
                   status, [&] { return run_preview(preview, stop_wanted); });
-  c->add_option("source", preview.source, "dataset folder or scene file")->required()->type_name("DIR|SCENE");
+  c->add_option("source", preview.source, "dataset folder, scene file, species or rig file")->required()->type_name("DIR|SCENE|RIG");
   c->add_option("-o,--out", preview.out, "picture")->required()->type_name("FILE.png");
   c->add_option("--frame", preview.frame, "default: the first")->type_name("F");
   c->add_option("--camera", preview.camera, "of --modalities; default: the first")->type_name("C");
   c->add_option("--coat", preview.coat, "default: the first")->type_name("T");
   c->add_flag("--modalities", preview.modalities, "every modality of one view instead of every view of one frame");
+  c->add_option("--strip", preview.strip, "so many frames of a scene side by side, from one camera")->type_name("N")->check(CLI::Range(1, 200));
+  c->add_option("--frames", preview.frames, "of --strip: spread over frames A to B")->type_name("A:B");
+  c->add_flag("--coats", preview.coats, "one view of a scene in all its coats");
 
   std::string folder;
   c = add_command(app, "validate", "Check every invariant of a dataset; exit 1 and a list where one fails",

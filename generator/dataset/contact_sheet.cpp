@@ -16,7 +16,8 @@ constexpr Color8 left_color{90, 170, 255}, right_color{255, 90, 80}, middle_colo
 constexpr Color8 paper{24, 24, 28}, ink{235, 235, 235};
 constexpr int gap = 4;
 
-// Distinct colours for small integers: hues a golden ratio apart.
+}  // namespace
+
 Color8 color_of_id(std::uint32_t id) {
   if (id == 0) return {0, 0, 0};
   const double hue = std::fmod(id * 0.6180339887498949, 1.0) * 6, level = id % 2 ? 1.0 : 0.7;
@@ -27,6 +28,8 @@ Color8 color_of_id(std::uint32_t id) {
   }
   return out;
 }
+
+namespace {
 
 Image8 to_rgb(const Image8& image) {
   if (image.channels == 3) return image;
@@ -126,6 +129,8 @@ std::optional<Modality> best_modality(const DatasetFolder& d) {
   return std::nullopt;
 }
 
+}  // namespace
+
 void draw_keypoints(Image8& image, const Manifest& m, const View& view, int animal, double scale) {
   if (animal >= static_cast<int>(view.keypoints.size())) return;
   const std::vector<KeypointView>& points = view.keypoints[animal];
@@ -148,6 +153,8 @@ void draw_keypoints(Image8& image, const Manifest& m, const View& view, int anim
     }
   }
 }
+
+namespace {
 
 struct Chosen {
   DatasetFolder dataset;
@@ -177,8 +184,9 @@ Chosen choose(const std::filesystem::path& folder, const ContactSheetOptions& o)
   return c;
 }
 
-// Pictures in a grid with a title and a label below each.
-Image8 grid(const std::vector<Image8>& cells, const std::vector<std::string>& labels, int columns,
+}  // namespace
+
+Image8 picture_grid(const std::vector<Image8>& cells, const std::vector<std::string>& labels, int columns,
             const std::string& title) {
   int cell_width = 0, cell_height = 0;
   for (const Image8& cell : cells)
@@ -201,6 +209,8 @@ Image8 grid(const std::vector<Image8>& cells, const std::vector<std::string>& la
   }
   return sheet;
 }
+
+namespace {
 
 std::string coat_label(const Manifest& m, int coat) {
   return coat >= 0 && coat < static_cast<int>(m.coats.size()) ? fmt::format("  coat {} {}", coat, m.coats[coat]) : "";
@@ -227,7 +237,7 @@ Image8 contact_sheet(const std::filesystem::path& folder, const ContactSheetOpti
       for (int animal = 0; animal < static_cast<int>(view.keypoints.size()); ++animal)
         draw_keypoints(cells[i], m, view, animal, scale);
   });
-  return grid(cells, labels, o.columns,
+  return picture_grid(cells, labels, o.columns,
               fmt::format("{}  frame {}{}", m.species, c.frame.frame.frame,
                           modality == Modality::rgb ? coat_label(m, c.coat) : ""));
 }
@@ -265,7 +275,7 @@ Image8 modality_sheet(const std::filesystem::path& folder, const ContactSheetOpt
     labels.push_back("keypoints");
   }
   if (cells.empty()) input_error("{}: holds no modality that can be shown; make it with more of them", folder.string());
-  return grid(cells, labels, 4,
+  return picture_grid(cells, labels, 4,
               fmt::format("{}  frame {}  camera {}{}", m.species, view->frame, camera, coat_label(m, c.coat)));
 }
 

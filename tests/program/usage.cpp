@@ -88,7 +88,12 @@ TEST_CASE("a file that is not there") {
   check_usage_error("plan nowhere.toml", "nowhere.toml cannot be read: No such file or directory; check the path");
   check_usage_error("rig info nowhere.glb", "there is no file nowhere.glb");
   check_usage_error("rig check unicorn", "there is no species 'unicorn'");
-  check_usage_error("preview nowhere -o x.png", "neither a dataset folder nor a scene file");
+  check_usage_error("preview nowhere -o x.png", "there is no species 'nowhere'");
+  check_usage_error("preview nowhere.toml -o x.png", "there is no file nowhere.toml");
+  check_usage_error("preview cow --strip 3 -o x.png", "--strip needs a scene file, and cow is none");
+  check_usage_error("preview cow --coats -o x.png", "--coats needs a scene file, and cow is none");
+  check_usage_error("preview cow -o x.jpg", "must end in .png");
+  check_usage_error("rig compare cow --against nowhere.toml -o x", "there is no file nowhere.toml");
   check_usage_error("validate nowhere", "nowhere");
 }
 
