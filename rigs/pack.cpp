@@ -197,6 +197,9 @@ std::vector<Place> place_all(const std::vector<Chart>& charts, const std::vector
 }  // namespace
 
 void pack_charts(std::vector<Chart>& charts, const std::vector<uvec3>& triangles, double gutter) {
+  // Not even points lie this far apart (no discs lie denser than hexagonally).
+  if (static_cast<double>(charts.size()) * 0.866 * gutter * gutter > (1 + gutter) * (1 + gutter))
+    input_error("{} UV charts do not fit with a gutter of {}; lower 'gutter' in [builder]", charts.size(), gutter);
   for (Chart& chart : charts) lay_flat(chart);
   std::vector<double> area(charts.size(), 0.0);
   double covered = 0;  // square metres
