@@ -77,10 +77,13 @@ int run_coat_bake(const CoatBakeCommand& command) {
                                std::holds_alternative<ImageCoat>(coat.source) ? "an image" : "the rig's own");
   const Species species = read_species(command.rig, NnopcsNormalization::box, {});
   Hide hide = make_hide(species.rig.surface, species.rig.part_names, read_finish(command.rig).hair);
+  const auto begin = std::chrono::steady_clock::now();
   const Image8 image = bake_coat(*procedural, hide, command.resolution);
+  const std::chrono::duration<double> took = std::chrono::steady_clock::now() - begin;
   const std::vector<std::uint8_t> bytes = encode_png8(image);
   write_file_atomically(command.out, bytes.data(), bytes.size());
-  spdlog::info("{} holds {} on {}, {} x {}", command.out, coat.name, species.name, image.width, image.height);
+  spdlog::info("{} holds {} on {}, {} x {}, baked in {:.2f} s", command.out, coat.name, species.name, image.width,
+               image.height, took.count());
   return 0;
 }
 

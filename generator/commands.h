@@ -81,6 +81,7 @@ int run_coat_compare(const std::string& species, const std::string& folder);
 int run_rig_info(const std::string& rig);
 int run_rig_check(const std::string& rig);
 int run_rig_build(const std::string& spec, const std::string& out);
+int run_rig_bind(const std::string& mesh, const std::string& keypoints, const std::string& out);
 int run_rig_motion(const std::string& source, int samples, const std::string& folder);
 int run_rig_deform(const std::string& scene, const SceneOptions& options, const std::string& folder);
 

@@ -191,6 +191,14 @@ int run(int argc, char** argv) {
   c->add_option("--against", compare.reference, "reference, as in validate/silhouettes")->required()->type_name("FILE.toml");
   c->add_option("-o,--out", compare.out, "folder for figures and pictures")->required()->type_name("DIR");
 
+  std::string bind_mesh, bind_keypoints;
+  c = add_command(*rig, "bind", "Make a rig of a static mesh and clicked keypoints; writes its species file beside it",
+                  "moomill rig bind cow.glb --skeleton rigs/scans/holstein.toml -o out/holstein.glb", status,
+                  [&] { return run_rig_bind(bind_mesh, bind_keypoints, rig_out); });
+  c->add_option("mesh", bind_mesh, "static mesh: glTF, FBX, Collada or OBJ")->required()->type_name("MESH");
+  c->add_option("--skeleton", bind_keypoints, "species and keypoints")->required()->type_name("SPEC.toml");
+  c->add_option("-o,--out", rig_out, "rig file to write")->required()->type_name("RIG.glb");
+
   int motion_samples = 200;
   c = add_command(*rig, "motion", "How well clips move: feet, slip, limits; of a scene also its poses; exit 1 when a bound is missed",
                   "moomill rig motion scenes/nepumoo.toml -o out/motion", status,

@@ -5,6 +5,8 @@
 #include "generator/commands.h"
 #include "generator/core/error.h"
 #include "rigs/check.h"
+#include "generator/dataset/codecs.h"
+#include "scenes/bind_file.h"
 #include "scenes/scene.h"
 
 namespace moomill {
@@ -49,6 +51,24 @@ int run_rig_build(const std::string& spec, const std::string& out) {
   write_glb(species.rig, out);
   spdlog::info("{} holds {} triangles, {} joints and {} clips", out, species.rig.surface.triangles.size(),
                species.rig.bones.size(), species.rig.clips.size());
+  return 0;
+}
+
+int run_rig_bind(const std::string& mesh, const std::string& keypoints, const std::string& out) {
+  require_extension("-o", out, ".glb");
+  const fs::path rig_file = out, species_file = fs::path(out).replace_extension(".toml");
+  std::error_code error;
+  if (fs::equivalent(species_file, keypoints, error))
+    input_error("-o {}: its species file would overwrite {}; write to another folder or name", out, keypoints);
+  const BoundScan bound = bind_scan_file(mesh, keypoints);
+  for (const std::string& w : bound.species.rig.warnings) spdlog::warn("{}", w);
+  for (const std::string& note : bound.notes) spdlog::info("{}", note);
+  write_glb(bound.species.rig, rig_file);
+  write_file_atomically(species_file, bound_species_toml(bound, rig_file.stem().string(), rig_file.filename().string(),
+                                                         fs::path(keypoints).filename().string()));
+  spdlog::info("{} holds {} triangles, {} joints and {} clips; {} is its species file, name that in a scene", out,
+               bound.species.rig.surface.triangles.size(), bound.species.rig.bones.size(), bound.species.rig.clips.size(),
+               species_file.string());
   return 0;
 }
 

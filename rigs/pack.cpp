@@ -208,9 +208,9 @@ void pack_charts(std::vector<Chart>& charts, const std::vector<uvec3>& triangles
   std::vector<std::size_t> order(charts.size());
   std::iota(order.begin(), order.end(), std::size_t{0});
   std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return area[a] > area[b]; });
-  // A gutter is two cells, so the raster is as fine as the gutter asks for.
-  const int gutter_cells = gutter > 0 ? 2 : 0;
-  const int side = gutter > 0 ? std::clamp(static_cast<int>(std::floor(gutter_cells / gutter)), 64, 1024) : 512;
+  // A gutter of two cells, so the raster is as fine as the gutter asks for, within reason.
+  const int side = gutter > 0 ? std::clamp(static_cast<int>(std::floor(2 / gutter)), 256, 1024) : 512;
+  const int gutter_cells = static_cast<int>(std::ceil(gutter * side - 1e-9));
   // Cells per metre: from what fills some 3/5 of the square, up in steps while it fits, or down until it does.
   double low = 0, high = 0;
   std::vector<Place> best;

@@ -491,7 +491,7 @@ void expand(const ManePart& m, const PartSpec& part, Body& body) {
       when.push_back(t);
       lock.push_back(m.fall * uneven * std::min({1.0, 0.3 + 3.5 * t, 0.5 + 3 * (1 - t)}));
       const Body::Skin skin = body.skin(part, crest[i] - up * (0.5 * lock.back()) + dvec3(0, 0.5 * m.fall, 0));
-      at.push_back(skin.at);
+      at.push_back(skin.at - skin.normal * (0.25 * thick));
       outward += skin.normal;
     }
     Solid hair = solid(sheet, unit(outward));
@@ -508,8 +508,8 @@ void expand(const ManePart& m, const PartSpec& part, Body& body) {
     Solid lock = solid(look, up);
     const dvec3 down = unit(dvec3(up.z, 0, -up.x) - 0.8 * up);
     for (const double t : {0.0, 0.3, 0.65, 1.0}) {
-      const Body::Skin at = body.skin_in_middle(part, top + down * (0.03 + m.forelock * t));
-      section(lock, look, at.at + at.normal * 0.002, m.thickness * (t < 0.5 ? 1.1 : 1.6 - t), 0.5 * m.thickness * (1.2 - 0.6 * t), 0.02);
+      const Body::Skin at = body.skin_in_middle(part, top + down * (0.075 + m.forelock * t));
+      section(lock, look, at.at + at.normal * 0.002, m.thickness * (t < 0.5 ? 0.75 : 1.25 - t), 0.5 * m.thickness * (1.2 - 0.6 * t), 0.02);
     }
     lock.cap_start = lock.cap_end = 0.5 * m.thickness;
     body.add(lock);

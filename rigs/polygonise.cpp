@@ -55,12 +55,14 @@ Lattice sample_lattice(const Field& field, double grid, Blocks& blocks) {
               z = static_cast<int>(b / blocks.nx / blocks.ny);
     return std::array<int, 3>{x, y, z};
   };
-  // From large blocks to small ones, wherever the surface may pass. The field is about metric; more than the half
-  // diagonal leaves room for what "about" means.
+  // From large blocks to small ones, wherever the surface may pass. The field is about metric; a little more than the
+  // half diagonal finds most of the surface, and where it leaves what was found it is followed below.
   const auto may_pass = [&](const std::array<int, 3>& first, int side) {
-    const double half = 0.5 * side, reach = 1.6 * std::sqrt(3.0) * half * grid;
+    const double half = 0.5 * side, reach = 1.3 * std::sqrt(3.0) * half * grid;
     const dvec3 centre = lattice.origin + grid * (dvec3(first[0], first[1], first[2]) + half);
-    return std::abs(field.distance(centre)) < reach;
+    const double d = field.distance(centre);
+    // A field that has no shape near says so by `nothing_near`; shapes may still begin beyond what it looks at.
+    return std::abs(d) < reach || (d == Field::nothing_near && std::sqrt(3.0) * half * grid > Field::looks_at);
   };
   const auto descend = [&](auto& self, const std::array<int, 3>& first, int side) -> void {
     if (!may_pass(first, side)) return;
@@ -79,21 +81,57 @@ Lattice sample_lattice(const Field& field, double grid, Blocks& blocks) {
     descend(descend, {x * large_block, y * large_block, z * large_block}, large_block);
   });
   // Every point is sampled once, by the block it is the lower part of, also when only a lower neighbour is active.
-  parallel_for(n, 16, [&](std::size_t b) {
-    const auto [bx, by, bz] = corner(b);
-    bool needed = false;
-    for (int k = 0; k < 8; ++k) {
-      const int x = bx - (k & 1), y = by - (k >> 1 & 1), z = bz - (k >> 2);
-      if (x >= 0 && y >= 0 && z >= 0 && blocks.active[blocks.index(x, y, z)]) needed = true;
+  std::vector<std::uint8_t> sampled(n, 0);
+  const auto sample_blocks = [&] {
+    parallel_for(n, 64, [&](std::size_t b) {
+      if (sampled[b]) return;
+      const auto [bx, by, bz] = corner(b);
+      bool needed = false;
+      for (int k = 0; k < 8; ++k) {
+        const int x = bx - (k & 1), y = by - (k >> 1 & 1), z = bz - (k >> 2);
+        if (x >= 0 && y >= 0 && z >= 0 && blocks.active[blocks.index(x, y, z)]) needed = true;
+      }
+      if (!needed) return;
+      sampled[b] = 1;
+      for (int z = bz * block; z < (bz + 1) * block; ++z)
+        for (int y = by * block; y < (by + 1) * block; ++y)
+          for (int x = bx * block; x < (bx + 1) * block; ++x) {
+            const float d = static_cast<float>(field.distance(lattice.at(x, y, z)));
+            lattice.values[lattice.index(x, y, z)] = d == 0.0f ? 1e-7f : d;  // never a vertex on a lattice point
+          }
+    });
+  };
+  // Does the surface pass through the face of block b on side `axis`, `up`?
+  const auto crosses = [&](const std::array<int, 3>& b, int axis, bool up) {
+    bool inside = false, outside = false;
+    for (int u = 0; u <= block; ++u)
+      for (int v = 0; v <= block; ++v) {
+        std::array<int, 3> p{b[0] * block, b[1] * block, b[2] * block};
+        p[axis] += up ? block : 0, p[(axis + 1) % 3] += u, p[(axis + 2) % 3] += v;
+        const float d = lattice.values[lattice.index(p[0], p[1], p[2])];
+        inside |= d < 0, outside |= d > 0;
+      }
+    return inside && outside;
+  };
+  for (bool grew = true; grew;) {
+    sample_blocks();
+    std::vector<std::size_t> found;
+    for (std::size_t b = 0; b < n; ++b) {
+      if (!blocks.active[b]) continue;
+      const std::array<int, 3> at = corner(b);
+      for (int side = 0; side < 6; ++side) {
+        std::array<int, 3> next = at;
+        next[side / 2] += side % 2 ? 1 : -1;
+        if (next[0] < 0 || next[1] < 0 || next[2] < 0 || next[0] >= blocks.nx || next[1] >= blocks.ny ||
+            next[2] >= blocks.nz)
+          continue;
+        const std::size_t i = blocks.index(next[0], next[1], next[2]);
+        if (!blocks.active[i] && crosses(at, side / 2, side % 2)) found.push_back(i);
+      }
     }
-    if (!needed) return;
-    for (int z = bz * block; z < (bz + 1) * block; ++z)
-      for (int y = by * block; y < (by + 1) * block; ++y)
-        for (int x = bx * block; x < (bx + 1) * block; ++x) {
-          const float d = static_cast<float>(field.distance(lattice.at(x, y, z)));
-          lattice.values[lattice.index(x, y, z)] = d == 0.0f ? 1e-7f : d;  // a vertex never falls onto a lattice point
-        }
-  });
+    for (const std::size_t i : found) blocks.active[i] = 1;
+    grew = !found.empty();
+  }
   return lattice;
 }
 

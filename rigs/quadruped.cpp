@@ -16,7 +16,7 @@ namespace moomill {
 namespace {
 
 // Cells along the longest side of the body that weights diffuse on.
-constexpr double weight_cells = 180;
+constexpr double weight_cells = 140;
 
 void add_joints(const std::vector<QuadrupedJoint>& joints, Rig& rig) {
   for (const QuadrupedJoint& j : joints) {

@@ -235,9 +235,10 @@ void check_surface(const QuadrupedSpec& spec, const Field& field, Rig& rig) {
       where = fmt::format(", one of {:.3f} m around near {} at the solids '{}' and '{}'", rings[0].length,
                           place(rings[0].centre), first ? first->name : "?", second ? second->name : "?");
     }
-    input_error("{}: the body has {} handles (loops one can reach through){}, 'handles' in [builder] says {}; part the "
-                "solids or let them overlap more, or set handles",
-                spec.source, found.genus, where, spec.handles);
+    rig.warnings.push_back(
+        fmt::format("the body has {} handles (loops one can reach through){}, 'handles' in [builder] says {}; part the "
+                    "solids or let them overlap more, or set handles",
+                    found.genus, where, spec.handles));
   }
   if (found.self_intersections > 0)
     rig.warnings.push_back(fmt::format("the surface cuts itself in {} pairs of triangles, one near {}",

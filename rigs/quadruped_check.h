@@ -23,8 +23,8 @@ void keep_one_body(const QuadrupedSpec& spec, const Field& field, HalfMesh& mesh
 void check_joints_inside(const QuadrupedSpec& spec, const std::vector<QuadrupedJoint>& joints, const Field& field,
                          const HalfMesh& mesh);
 
-// Throws InputError where the whole surface is no closed manifold or has not as many handles as the spec says; adds a
-// warning to the rig where it cuts itself.
+// Throws InputError where the whole surface is no closed manifold; adds a warning to the rig where it has not as many
+// handles as the spec says, or cuts itself.
 void check_surface(const QuadrupedSpec& spec, const Field& field, Rig& rig);
 
 }  // namespace moomill

@@ -1,6 +1,7 @@
 #include "rigs/skin_weights.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <functional>
 #include <queue>
@@ -57,46 +58,66 @@ std::vector<double> bulk_thickness(const VoxelSolid& solid, double slope) {
   return bulk;
 }
 
-// Conjugate gradients with Jacobi preconditioning on (L + diag(k)) w = diag(k) p, L the graph Laplacian of the cells.
-// Screened as it is, a few dozen steps do.
-void solve(const VoxelSolid& solid, const std::vector<double>& k, std::vector<double>& w) {
+// Weights of several joints side by side: a neighbour is looked up once for all of them.
+constexpr int lanes = 8;
+using Lanes = std::array<float, lanes>;
+using LaneSums = std::array<double, lanes>;
+
+// Conjugate gradients with Jacobi preconditioning on (L + diag(k)) w = diag(k) p, L the graph Laplacian of the cells, each
+// lane a system of its own. Screened as it is, a few dozen steps do. `w` holds p before and the solution after. A lane stops
+// when its residual has shrunk by ten thousand: weights are then right to four digits.
+void solve(const VoxelSolid& solid, const std::vector<double>& k, std::vector<Lanes>& w) {
   const std::size_t n = k.size();
-  std::vector<double> residual(n), direction(n), image(n), inverse(n);
-  const auto apply = [&](const std::vector<double>& x, std::vector<double>& y) {
+  std::vector<Lanes> residual(n), direction(n), image(n);
+  std::vector<float> diagonal(n), inverse(n);
+  for (std::size_t i = 0; i < n; ++i) {
+    double d = k[i];
+    for (const std::int32_t j : solid.near[i]) d += j >= 0;
+    diagonal[i] = static_cast<float>(d);
+    inverse[i] = static_cast<float>(1 / d);
+  }
+  const auto apply = [&](const std::vector<Lanes>& x, std::vector<Lanes>& y) {
     for (std::size_t i = 0; i < n; ++i) {
-      double sum = k[i] * x[i];
+      Lanes sum = x[i];
+      for (float& v : sum) v *= diagonal[i];
       for (const std::int32_t j : solid.near[i])
-        if (j >= 0) sum += x[i] - x[j];
+        if (j >= 0)
+          for (int l = 0; l < lanes; ++l) sum[l] -= x[j][l];
       y[i] = sum;
     }
   };
-  for (std::size_t i = 0; i < n; ++i) {
-    double diagonal = k[i];
-    for (const std::int32_t j : solid.near[i]) diagonal += j >= 0;
-    inverse[i] = 1 / diagonal;
-  }
+  LaneSums rz{}, goal{};
   apply(w, image);  // starts at the seeds themselves: the residual is minus their Laplacian
-  double rz = 0;
-  for (std::size_t i = 0; i < n; ++i) {
-    residual[i] = k[i] * w[i] - image[i];
-    direction[i] = inverse[i] * residual[i];
-    rz += residual[i] * direction[i];
-  }
-  const double goal = 1e-10 * rz;
-  for (int step = 0; step < 400 && rz > goal; ++step) {
-    apply(direction, image);
-    double curvature = 0;
-    for (std::size_t i = 0; i < n; ++i) curvature += direction[i] * image[i];
-    const double alpha = rz / curvature;
-    double next = 0;
-    for (std::size_t i = 0; i < n; ++i) {
-      w[i] += alpha * direction[i];
-      residual[i] -= alpha * image[i];
-      next += residual[i] * residual[i] * inverse[i];
+  for (std::size_t i = 0; i < n; ++i)
+    for (int l = 0; l < lanes; ++l) {
+      residual[i][l] = static_cast<float>(k[i]) * w[i][l] - image[i][l];
+      direction[i][l] = inverse[i] * residual[i][l];
+      rz[l] += static_cast<double>(residual[i][l]) * direction[i][l];
     }
-    const double beta = next / rz;
-    rz = next;
-    for (std::size_t i = 0; i < n; ++i) direction[i] = inverse[i] * residual[i] + beta * direction[i];
+  for (int l = 0; l < lanes; ++l) goal[l] = 1e-8 * rz[l];
+  for (int step = 0; step < 400; ++step) {
+    bool going = false;
+    for (int l = 0; l < lanes; ++l) going |= rz[l] > goal[l];
+    if (!going) break;
+    apply(direction, image);
+    LaneSums curvature{}, next{};
+    for (std::size_t i = 0; i < n; ++i)
+      for (int l = 0; l < lanes; ++l) curvature[l] += static_cast<double>(direction[i][l]) * image[i][l];
+    Lanes alpha, beta;
+    for (int l = 0; l < lanes; ++l)
+      alpha[l] = rz[l] > goal[l] && curvature[l] > 0 ? static_cast<float>(rz[l] / curvature[l]) : 0.0f;
+    for (std::size_t i = 0; i < n; ++i)
+      for (int l = 0; l < lanes; ++l) {
+        w[i][l] += alpha[l] * direction[i][l];
+        residual[i][l] -= alpha[l] * image[i][l];
+        next[l] += static_cast<double>(residual[i][l]) * residual[i][l] * inverse[i];
+      }
+    for (int l = 0; l < lanes; ++l) {
+      beta[l] = rz[l] > goal[l] ? static_cast<float>(next[l] / rz[l]) : 0.0f;
+      if (rz[l] > goal[l]) rz[l] = next[l];
+    }
+    for (std::size_t i = 0; i < n; ++i)
+      for (int l = 0; l < lanes; ++l) direction[i][l] = inverse[i] * residual[i][l] + beta[l] * direction[i][l];
   }
 }
 
@@ -241,20 +262,24 @@ std::vector<double> diffuse_weights(const VoxelSolid& solid, const Seeds& seeds,
   std::vector<Stencil> stencils(points.size());
   parallel_for(points.size(), 256, [&](std::size_t p) { stencils[p] = stencil_at(solid, points[p]); });
   std::vector<double> weights(points.size() * joints, 0.0);
-  parallel_for(joints, 1, [&](std::size_t j) {
-    std::vector<double> w(n);
+  std::vector<int> used;  // joints that any cell is seeded with
+  for (int j = 0; j < joints; ++j) {
     bool any = false;
-    for (std::size_t i = 0; i < n; ++i) {
-      w[i] = seeds[i * joints + j];
-      any |= w[i] > 0;
-    }
-    if (!any) return;
+    for (std::size_t i = 0; i < n && !any; ++i) any = seeds[i * joints + j] > 0;
+    if (any) used.push_back(j);
+  }
+  parallel_for((used.size() + lanes - 1) / lanes, 1, [&](std::size_t group) {
+    const std::size_t first = group * lanes, count = std::min<std::size_t>(lanes, used.size() - first);
+    std::vector<Lanes> w(n, Lanes{});
+    for (std::size_t i = 0; i < n; ++i)
+      for (std::size_t l = 0; l < count; ++l) w[i][l] = seeds[i * joints + used[first + l]];
     solve(solid, k, w);
-    for (std::size_t p = 0; p < points.size(); ++p) {
-      double sum = 0;
-      for (int i = 0; i < stencils[p].count; ++i) sum += stencils[p].weight[i] * w[stencils[p].cell[i]];
-      weights[p * joints + j] = std::max(sum, 0.0);
-    }
+    for (std::size_t p = 0; p < points.size(); ++p)
+      for (std::size_t l = 0; l < count; ++l) {
+        double sum = 0;
+        for (int i = 0; i < stencils[p].count; ++i) sum += stencils[p].weight[i] * w[stencils[p].cell[i]][l];
+        weights[p * joints + used[first + l]] = std::max(sum, 0.0);
+      }
   });
   for (std::size_t p = 0; p < points.size(); ++p) {
     double total = 0;

@@ -46,27 +46,33 @@ Shape::Point axis_at(const Shape& shape, double s) {
 }
 
 // Metres along the axis of where p belongs; outside of [0, length] beyond an end. A soft nearest point: the mean of
-// all places, weighted by exp(-squared distance). Where the axis is straight this is the nearest point; where it bends
+// the places around it, weighted by exp(-squared distance). Where the axis is straight this is the nearest point; where it bends
 // so much that the nearest point jumps from one place to another, the mean goes over smoothly, so the field has no
 // tears.
 double place_on_axis(const Shape& shape, const dvec3& p) {
   constexpr std::size_t most = 64;
   std::array<double, most> d2;
   const std::size_t n = shape.axis_x.size();
-  double least = std::numeric_limits<double>::infinity();
   for (std::size_t k = 0; k < n; ++k) {
     const double x = shape.axis_x[k] - p.x, y = shape.axis_y[k] - p.y, z = shape.axis_z[k] - p.z;
     d2[k] = x * x + y * y + z * z;
-    least = std::min(least, d2[k]);
   }
+  std::size_t nearest = 0;
+  for (std::size_t k = 1; k < n; ++k)
+    if (d2[k] < d2[nearest]) nearest = k;
+  // From the nearest point both ways until places are much farther: another stretch of the axis that comes near again
+  // (a ring's other end) has no part in it.
   const double scale = 1 / (2 * shape.stride * shape.stride);
-  double sum = 0, total = 0;
-  for (std::size_t k = 0; k < n; ++k) {
-    const double e = (d2[k] - least) * scale;
-    if (e > 12) continue;
+  double sum = static_cast<double>(nearest), total = 1;
+  const auto add = [&](std::size_t k) {
+    const double e = (d2[k] - d2[nearest]) * scale;
+    if (e > 12) return false;
     const double w = std::exp(-e);
     sum += w * static_cast<double>(k), total += w;
-  }
+    return true;
+  };
+  for (std::size_t k = nearest + 1; k < n && add(k); ++k) {}
+  for (std::size_t k = nearest; k > 0 && add(k - 1); --k) {}
   return (sum / total - beyond) * shape.stride;
 }
 
@@ -211,7 +217,7 @@ const std::vector<std::uint16_t>& Field::near_shapes(const dvec3& p) const {
 }
 
 FieldSample Field::sample(const dvec3& p) const {
-  FieldSample f{1.0, 1.0};
+  FieldSample f{nothing_near, 1.0};
   for (const std::uint16_t i : near_shapes(p)) {
     const Shape& shape = shapes[i];
     if (shape.kind == Solid::Kind::paint) continue;
@@ -357,7 +363,7 @@ Field build_field(const QuadrupedSpec& spec, const std::vector<std::string>& joi
       if (box_distance(field.shapes[i].box, later.box.lower, later.box.upper) < 2 * later.blend)
         most = std::max(most, later.blend);
     }
-    reach.push_back(most + 0.06);
+    reach.push_back(most + Field::looks_at);
   }
   const dvec3 size = field.box.size() / field.cell;
   field.nx = static_cast<int>(size.x) + 1, field.ny = static_cast<int>(size.y) + 1,

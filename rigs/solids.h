@@ -49,6 +49,8 @@ struct Influencing {
 
 // All shapes of an animal, left, right and midline, with a coarse grid that knows which of them matter where.
 struct Field {
+  static constexpr double nothing_near = 1.0;  // distance where no shape is known within `looks_at` metres
+  static constexpr double looks_at = 0.06;
   std::vector<Shape> shapes;
   Box box;            // holds the whole surface
   double cell = 0.1;  // metres, of the coarse grid

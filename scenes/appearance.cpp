@@ -96,12 +96,24 @@ Paint constant_paint(const vec3& color, int coats) {
 
 }  // namespace
 
-double baked_coat_bytes(int resolution) { return 3.0 * resolution * resolution; }
-
-double picture_bytes(int width, int height) { return 4.0 * sizeof(float) * width * height; }
-
-int coats_per_batch(int width, int height, double bytes) {
-  return static_cast<int>(std::clamp(bytes / picture_bytes(width, height), 1.0, 32.0));
+BatchPlan plan_batches(const SceneSpec& scene) {
+  constexpr double most_coats = 32;
+  const double memory = scene.render.memory_mb * 1e6, eighth = memory / 8;
+  const double resolution = scene.render.coat_resolution, animals = static_cast<double>(scene.animals.size());
+  const double baked = 3 * resolution * resolution * animals;
+  const double picture = 4.0 * sizeof(float) * scene.cameras.width * scene.cameras.height;
+  const double each = std::max(baked, picture);
+  if (each > eighth)
+    input_error("{}: render.memory_mb = {:.0f} is too little for one coat of {} x {} texels and pictures of {} x {}; give it {:.0f}, or a smaller "
+                "coat_resolution", scene.file, scene.render.memory_mb, resolution, resolution, scene.cameras.width, scene.cameras.height,
+                std::ceil(8 * each / 1e6));
+  BatchPlan plan;
+  const double n = static_cast<double>(scene.coat_indices.size());
+  plan.coats = static_cast<int>(std::min({most_coats, std::floor(eighth / each), std::max(1.0, n)}));
+  const double batches = std::ceil(n / plan.coats);
+  plan.kept = static_cast<int>(std::clamp(std::floor(memory / 4 / (baked * plan.coats)), 1.0, std::max(1.0, batches)));
+  plan.bytes = plan.coats * baked * (plan.kept + std::clamp(batches - plan.kept, 0.0, 2.0)) + 2 * plan.coats * picture;
+  return plan;
 }
 
 struct Wardrobe::State {
@@ -109,7 +121,7 @@ struct Wardrobe::State {
   std::vector<const Species*> species;
   StageCounts& counts;
   std::mutex mutex;
-  std::vector<std::shared_ptr<Baker>> bakers;  // per animal; animals of a species share theirs
+  std::vector<std::shared_ptr<Baker>> bakers;  // per animal; those of one species share theirs
   std::map<std::string, Breed> breeds;
   std::vector<std::vector<int>> own_textures;          // per animal, per rig material: its own base texture
   std::vector<std::shared_ptr<const Appearance>> kept;      // per batch
@@ -217,25 +229,25 @@ Wardrobe::Wardrobe(const SceneSpec& scene, const std::vector<const Species*>& sp
     : state_(new State{scene, species, counts, {}, {}, {}, {}, {}, {}, 0}) {
   auto bare = std::make_shared<Appearance>();
   TexturePool pool(*bare, counts);
+  std::map<const Species*, std::shared_ptr<Baker>> by_species;
   for (std::size_t animal = 0; animal < species.size(); ++animal) {
     const Species& s = *species[animal];
     const AnimalSpec& spec = scene.animals[animal];
     const bool has_uvs = !s.rig.surface.uvs.empty();
     const bool wears_own = spec.coats.empty() || std::find(spec.coats.begin(), spec.coats.end(), "own") != spec.coats.end();
-    std::vector<int> materials;
-    std::vector<int> own;
-    const auto twin = std::find(species.begin(), species.begin() + static_cast<std::ptrdiff_t>(animal), &s);
-    state_->bakers.push_back(twin != species.begin() + static_cast<std::ptrdiff_t>(animal)
-                                 ? state_->bakers[static_cast<std::size_t>(twin - species.begin())]
-                                 : std::make_shared<Baker>(s, spec.species, scene.render.coat_resolution));
+    std::shared_ptr<Baker>& baker = by_species[&s];
+    if (!baker) baker = std::make_shared<Baker>(s, spec.species, scene.render.coat_resolution);
     // Whatever its coats: a coat must look the same alone and beside others.
-    if (Baker& baker = *state_->bakers.back(); with_light && has_uvs && baker.normal < 0 && !find_finish(spec.species).empty()) {
-      FinishMaps maps = baker.finish();
+    const bool finish = with_light && has_uvs && !find_finish(spec.species).empty();
+    if (finish && baker->normal < 0) {
+      FinishMaps maps = baker->finish();
       ++counts.finishes;
       const TexturePlacement clamped{Wrap::clamp, Wrap::clamp};
-      baker.normal = pool.add(Texture{std::move(maps.normal), clamped});
-      baker.roughness = pool.add(Texture{std::move(maps.roughness), clamped});
+      baker->normal = pool.add(Texture{std::move(maps.normal), clamped});
+      baker->roughness = pool.add(Texture{std::move(maps.roughness), clamped});
     }
+    std::vector<int> materials;
+    std::vector<int> own;
     for (const RigMaterial& m : s.rig.materials) {
       Material out;
       out.alpha = m.alpha;
@@ -251,11 +263,11 @@ Wardrobe::Wardrobe(const SceneSpec& scene, const std::vector<const Species*>& sp
           out.normal_texture = pool.add(s, m.normal_texture);
           out.normal_scale = m.normal_scale;
         }
-        if (state_->bakers.back()->normal >= 0) {
+        if (finish) {
           out.roughness = 1;
           out.metallic = 0;
-          out.metallic_roughness_texture = state_->bakers.back()->roughness;
-          out.normal_texture = state_->bakers.back()->normal;
+          out.metallic_roughness_texture = baker->roughness;
+          out.normal_texture = baker->normal;
           out.normal_scale = 1;
         }
       }
@@ -265,6 +277,7 @@ Wardrobe::Wardrobe(const SceneSpec& scene, const std::vector<const Species*>& sp
     }
     materials_.push_back(std::move(materials));
     state_->own_textures.push_back(std::move(own));
+    state_->bakers.push_back(baker);
   }
   if (scene.ground.present) {
     ground_material_ = static_cast<int>(bare->materials.size());
@@ -273,19 +286,14 @@ Wardrobe::Wardrobe(const SceneSpec& scene, const std::vector<const Species*>& sp
   bare_ = std::move(bare);
   if (!with_light) return;
 
-  const double memory = scene.render.memory_mb * 1e6;
-  const std::size_t n = scene.coat_indices.size();
-  const auto lanes = static_cast<std::size_t>(coats_per_batch(scene.cameras.width, scene.cameras.height, memory / 4));
+  const BatchPlan plan = plan_batches(scene);
+  const std::size_t n = scene.coat_indices.size(), lanes = static_cast<std::size_t>(plan.coats);
   for (std::size_t first = 0; first < n; first += lanes)
     batches_.emplace_back(scene.coat_indices.begin() + first, scene.coat_indices.begin() + std::min(n, first + lanes));
-  double batch_bytes = 0;
-  for (const AnimalSpec& a : scene.animals)
-    batch_bytes += baked_coat_bytes(scene.render.coat_resolution) * static_cast<double>(std::min(lanes, n)) *
-                   (a.coats.empty() ? 0 : 1);
   state_->kept.resize(batches_.size());
   state_->in_use.resize(batches_.size());
-  state_->most_kept = static_cast<std::size_t>(std::max(1.0, memory / 2 / std::max(1.0, batch_bytes)));
-  // A lone batch is made now, so that what is wrong with a coat is said before anything is rendered.
+  state_->most_kept = static_cast<std::size_t>(plan.kept);
+  // The first batch is made now, so that what is wrong with a coat is said before anything is rendered.
   dress(0);
 }
 

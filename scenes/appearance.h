@@ -9,9 +9,9 @@
 namespace moomill {
 
 // Holds what all coats share, and dresses the animals in one batch of coats after the other. Batches are runs of the
-// scene's chosen coats, of at most the 32 that are shaded at once, fewer where a view of them would take more than a
-// quarter of render.memory. Baked batches are kept while they fit into half of it; the first ones stay, later ones are
-// baked again whenever they are asked for. Neither changes a bit of any picture.
+// scene's chosen coats. Of render.memory_mb, two batches at work take at most a quarter, the pictures of two views in
+// the making another, and a quarter is for batches that are kept: the first ones, as many as fit; later ones are baked
+// again whenever they are asked for. None of this changes a bit of any picture.
 class Wardrobe {
  public:
   // `species`: per animal. With light: coats and finishes; without: only what cuts holes into surfaces.
@@ -36,11 +36,13 @@ class Wardrobe {
   std::unique_ptr<State> state_;
 };
 
-// Coats shaded at once: 32, or fewer where the pictures of one view would pass `bytes`.
-int coats_per_batch(int width, int height, double bytes);
-
-// Bytes that a baked coat takes, and a coat's picture of one view while it is made.
-double baked_coat_bytes(int resolution);
-double picture_bytes(int width, int height);
+// Coats of a batch, baked batches that are kept, and the bytes that follow.
+struct BatchPlan {
+  int coats = 32, kept = 1;
+  double bytes = 0;
+};
+// 32 coats are shaded at once, fewer where they or their pictures of one view would pass an eighth of the memory.
+// InputError where not even one coat fits.
+BatchPlan plan_batches(const SceneSpec& scene);
 
 }  // namespace moomill

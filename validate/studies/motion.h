@@ -13,8 +13,8 @@ struct MotionOptions {
 };
 
 // Every clip of the species. Which foot bears weight when is taken from what made the clip (Species::clip_plans); of other
-// clips, as those of imported rigs, it is found from the mesh: a foot bears weight where it comes within 1 cm (at the size
-// of a cow) of the lowest that the clip goes, and these clips are held against no bound.
+// clips, as those of imported rigs, it is found from the mesh: the ground is where the lowest foot mostly is, a foot bears
+// weight where it comes within 1.5 cm of it (at the size of a cow), and these clips are held against no bound.
 StudyResult study_motion(const Species& species, const MotionOptions& options);
 
 // The same of the first animal of a scene, and: the spread of its poses' keypoints, random poses on the ground, and how far
