@@ -139,6 +139,11 @@ TEST_CASE("evolution finds the bottom of a bent valley") {
   const std::vector<double> found = minimise(valley, std::vector<double>(6, 0.0), {16, 1000, 0.3, 1});
   for (const double x : found) CHECK(x == doctest::Approx(1).epsilon(1e-4));
   CHECK(minimise(valley, std::vector<double>(6, 0.0), {16, 1000, 0.3, 1}) == found);
+  const auto bowl = [](const std::vector<double>& x) { return std::abs(x[0] - 3) + 10 * std::abs(x[1] + 0.25); };
+  const std::vector<double> bottom = pattern_search(bowl, {0, 0}, 0.5, 1e-6, 1000);
+  CHECK(bottom[0] == doctest::Approx(3).epsilon(1e-5));
+  CHECK(bottom[1] == doctest::Approx(-0.25).epsilon(1e-5));
+  CHECK(pattern_search(bowl, {0, 0}, 0.5, 1e-6, 1) == std::vector<double>{0, 0});
 }
 
 TEST_CASE("a rig fits itself, posed and scaled by known numbers") {

@@ -77,4 +77,30 @@ std::vector<double> minimise(const std::function<double(const std::vector<double
   return best;
 }
 
+std::vector<double> pattern_search(const std::function<double(const std::vector<double>&)>& f, std::vector<double> start,
+                                   double step, double smallest, int tries) {
+  std::vector<double> x = std::move(start), steps(x.size(), step);
+  double value = f(x);
+  for (int tried = 1; tried < tries;) {
+    bool any = false;
+    for (std::size_t i = 0; i < x.size() && tried < tries; ++i) {
+      if (std::abs(steps[i]) < smallest) continue;
+      any = true;
+      bool better = false;
+      for (int side = 0; side < 2 && !better && tried < tries; ++side, ++tried) {
+        const double before = x[i];
+        x[i] += steps[i];
+        if (const double now = f(x); now < value) {
+          value = now, better = true;
+        } else {
+          x[i] = before, steps[i] = -steps[i];  // the other way, now and next time
+        }
+      }
+      steps[i] *= better ? 1.5 : 0.5;
+    }
+    if (!any) break;
+  }
+  return x;
+}
+
 }  // namespace moomill

@@ -18,8 +18,9 @@ namespace {
 struct Level {
   int pixels, starts, generations;
   double step, pull;
+  int tries;  // of the coordinate search that follows
 };
-constexpr Level levels[] = {{64, 3, 250, 0.5, 10}, {128, 2, 250, 0.2, 0}, {384, 1, 50, 0.03, 0}};
+constexpr Level levels[] = {{64, 3, 250, 0.5, 10, 0}, {128, 2, 200, 0.2, 0, 1500}, {384, 0, 0, 0.3, 0, 800}};
 constexpr int population = 14;
 constexpr double measured_pixel = 0.002;               // metres, of the overlap that is reported
 // What a parameter of 1 stands for: one step of the search moves everything by about as much.
@@ -346,13 +347,13 @@ SilhouetteFit fit_silhouettes(const Species& species, const SilhouetteReference&
     const dvec3 by = Fitting::scale(p);
     const Rig shape = thinned(rig, rest, part_out, 1.5 * pixel / std::max({by.x, by.y, by.z}));
     const auto cost = cost_on(shape, pixel, level.pull / longest);
-    std::vector<double> best;
+    std::vector<double> best = p;
     double least = std::numeric_limits<double>::infinity();
     for (int start = 0; start < level.starts; ++start) {
       std::vector<double> found = minimise(cost, p, {population, level.generations, level.step, static_cast<std::uint64_t>(start)});
       if (const double value = cost(found); value < least) least = value, best = std::move(found);
     }
-    p = best;
+    p = pattern_search(cost, best, level.step, 0.01, level.tries);
   }
 
   fit.offset = Fitting::offset(p);
