@@ -20,7 +20,7 @@ struct Level {
   double step, pull;
   int tries;  // of the coordinate search that follows
 };
-constexpr Level levels[] = {{64, 3, 250, 0.5, 10, 0}, {128, 2, 200, 0.2, 0, 1500}, {384, 0, 0, 0.3, 0, 800}};
+constexpr Level levels[] = {{64, 3, 250, 0.5, 10, 0}, {128, 2, 250, 0.2, 0, 1500}, {384, 1, 30, 0.05, 0, 500}};
 constexpr int population = 14;
 constexpr double measured_pixel = 0.002;               // metres, of the overlap that is reported
 // What a parameter of 1 stands for: one step of the search moves everything by about as much.
