@@ -102,7 +102,7 @@ FinishMaps bake_finish(const Finish& finish, Hide& hide, const TexelMap& texels)
         slope_x += scale * (gradient_noise(q + e * tx, clump_key) - here);
         slope_y += scale * (gradient_noise(q + e * ty, clump_key) - here);
       }
-      const dvec3 bent = glm::normalize(dvec3(-bump * slope_x, bump * slope_y, 1.0));  // read back as x, -y, z
+      const dvec3 bent = glm::normalize(dvec3(-bump * slope_x, -bump * slope_y, 1.0));
       for (int c = 0; c < 3; ++c) maps.normal.at(x, y, c) = to_byte(0.5 * bent[c] + 0.5);
     }
   });

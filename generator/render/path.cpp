@@ -57,7 +57,8 @@ bool shading_point(const Scene& scene, const SurfaceHit& hit, const vec3& wo, Sh
   out.material = &m;
 
   if (m.normal_texture >= 0 && !s.uvs.empty()) {
-    // Tangent along u of the triangle's UVs, made perpendicular to the shading normal. glTF: green points to -v.
+    // Tangent x along u of the triangle's UVs, made perpendicular to the shading normal; y on the side of -v, where glTF's
+    // green points.
     const vec2 d1 = s.uvs[t[1]] - s.uvs[t[0]], d2 = s.uvs[t[2]] - s.uvs[t[0]];
     const float det = d1.x * d2.y - d1.y * d2.x;
     const vec3 along_u = (e1 * d2.y - e2 * d1.y) * (det < 0 ? -1.0f : 1.0f);
@@ -70,7 +71,7 @@ bool shading_point(const Scene& scene, const SurfaceHit& hit, const vec3& wo, Sh
       vec3 local(2 * texture_value(tex, out.uv, 0) - 1, 2 * texture_value(tex, out.uv, 1) - 1, 2 * texture_value(tex, out.uv, 2) - 1);
       local.x *= m.normal_scale;
       local.y *= m.normal_scale;
-      const vec3 bent = local.x * x - local.y * y + local.z * n;
+      const vec3 bent = local.x * x + local.y * y + local.z * n;
       const float bl = glm::length(bent);
       if (bl > 1e-6f) n = bent / bl;
     }

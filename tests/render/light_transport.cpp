@@ -290,6 +290,48 @@ TEST_CASE("white furnace in a scene: a white ball in a white world disappears") 
     }
 }
 
+TEST_CASE("green of a normal map leans the surface towards -v, as glTF has it, also where the UVs are mirrored") {
+  for (const bool mirrored : {false, true}) {
+    Surface plate = plate_surface({-1, -1, 0}, {2, 0, 0}, {0, 2, 0});
+    for (std::size_t i = 0; i < plate.rest.size(); ++i) {
+      const vec2 uv = 0.5f * vec2(plate.rest[i]) + 0.5f;  // v along +y
+      plate.uvs[i] = {mirrored ? 1 - uv.x : uv.x, uv.y};
+    }
+    Scene scene;
+    auto a = std::make_shared<Appearance>();
+    add_material(*a, 1, 0, {vec3(0.8f)});
+    Texture map;
+    map.image = Image8(2, 2, 3);
+    for (std::size_t i = 0; i < map.image.data.size(); i += 3) {
+      map.image.data[i] = 128;
+      map.image.data[i + 1] = map.image.data[i + 2] = 218;  // (0, 0.71, 0.71): 45 degrees
+    }
+    a->textures.push_back(std::make_shared<Texture>(map));
+    a->materials[0].normal_texture = 0;
+    scene.appearance = a;
+    scene.instances = {instance_of(plate, 0, 0)};
+    const Accel accel(scene);
+    const Camera camera = look_at({0, 0.001, 6}, {0, 0, 0}, 90, 16, 16);
+    PixelMask all(16, 16);
+    all.fill();
+    PathOptions o;
+    o.samples = 16;
+    const auto lit_from = [&](float y) {
+      Lights lights;
+      lights.environment = std::make_shared<Environment>(vec3(0.0f));
+      lights.suns.push_back({glm::normalize(vec3(0, y, 1)), vec3(1), 0.01f});
+      lights.prepare(vec3(0));
+      const Radiance r = trace_radiance(scene, lights, accel, camera, all, o);
+      double sum = 0;
+      for (int p = 0; p < 256; ++p) sum += r.coats[0].data[4 * p + 1];
+      return sum;
+    };
+    CAPTURE(mirrored);
+    CHECK(lit_from(-1) > 1);
+    CHECK(lit_from(-1) > 10 * lit_from(1));  // the leaning surface faces one sun and sees the other edge on
+  }
+}
+
 TEST_CASE("a coat alone equals the same coat in a batch of twelve, bit for bit, on one thread and on two") {
   const Surface ball = sphere_surface(30, 60);
   std::mt19937 random(1);

@@ -40,7 +40,7 @@ dvec3 world_normal(const Image8& normal, int x, int y, bool mirrored) {
   const double det = mirrored ? -1 : 1;
   const dvec3 n(0, 0, 1), tx(det, 0, 0);  // along u
   const dvec3 ty = glm::cross(n, tx) * (det < 0 ? 1.0 : -1.0);
-  return glm::normalize(local.x * tx - local.y * ty + local.z * n);
+  return glm::normalize(local.x * tx + local.y * ty + local.z * n);
 }
 
 Finish hair_along_x() {
