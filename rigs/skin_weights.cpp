@@ -295,7 +295,7 @@ std::vector<Influence> strongest_influences(const double* weights, std::size_t j
   for (std::size_t j = 0; j < left.size(); ++j) left[j] = weights[j];
   std::sort(left.begin(), left.end(), std::greater<>());
   // What the fifth weighs is taken off all: the four that stay fade out where another takes over, so none jumps.
-  const double fifth = std::max(left.size() > 4 ? left[4] : 0.0, 0.005);
+  const double fifth = std::max(left.size() > 4 ? left[4] : 0.0, 0.01);
   double total = 0;
   for (std::size_t j = 0; j < left.size(); ++j) total += left[j] = std::max(weights[j] - fifth, 0.0);
   std::vector<Influence> result;
