@@ -227,6 +227,8 @@ Wardrobe::~Wardrobe() = default;
 Wardrobe::Wardrobe(const SceneSpec& scene, const std::vector<const Species*>& species, bool with_light,
                    StageCounts& counts)
     : state_(new State{scene, species, counts, {}, {}, {}, {}, {}, {}, 0}) {
+  BatchPlan plan;
+  if (with_light) plan = plan_batches(scene);  // too little memory is said before anything is baked
   auto bare = std::make_shared<Appearance>();
   TexturePool pool(*bare, counts);
   std::map<const Species*, std::shared_ptr<Baker>> by_species;
@@ -286,7 +288,6 @@ Wardrobe::Wardrobe(const SceneSpec& scene, const std::vector<const Species*>& sp
   bare_ = std::move(bare);
   if (!with_light) return;
 
-  const BatchPlan plan = plan_batches(scene);
   const std::size_t n = scene.coat_indices.size(), lanes = static_cast<std::size_t>(plan.coats);
   for (std::size_t first = 0; first < n; first += lanes)
     batches_.emplace_back(scene.coat_indices.begin() + first, scene.coat_indices.begin() + std::min(n, first + lanes));
