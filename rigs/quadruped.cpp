@@ -201,6 +201,7 @@ Rig build_quadruped(const QuadrupedSpec& spec) {
   RigMaterial material;
   material.name = "skin";
   rig.materials.push_back(material);
+  scale_rig(rig, spec.scale);
   return rig;
 }
 

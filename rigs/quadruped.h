@@ -52,6 +52,7 @@ struct QuadrupedSpec {
   double grid = 0.007;         // metres; resolves the thinnest part, whatever the target edge
   double gutter = 0.004;       // free border around UV charts, share of the atlas' side
   int handles = 0;             // loops of the body one can reach through (its genus)
+  double scale = 1;  // of every length, once the animal is built: as if all numbers here were multiplied
   std::vector<QuadrupedJoint> joints;  // in any order
   std::vector<Solid> solids;
   std::vector<LegSpec> legs;  // for the clips, see motion.h

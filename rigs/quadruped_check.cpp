@@ -128,6 +128,8 @@ void check_numbers(const QuadrupedSpec& spec) {
       if (!solid.mirror && s.at.y < -1e-6 && s.at.y + std::max({s.side, s.up, s.down}) < 0)
         refuse(fmt::format("has section {} on the right (y = {:.3f}); describe the left side, y > 0, with mirror = true",
                            i, s.at.y));
+      if (!solid.mirror && s.at.y > 1e-6 && s.at.y - std::max({s.side, s.up, s.down}) > 0)
+        refuse(fmt::format("has section {} on the left (y = {:.3f}) without mirror = true; set that, or y to 0", i, s.at.y));
       if (i > 0 && !(glm::length(s.at - solid.sections[i - 1].at) > 1e-4))
         refuse(fmt::format("has sections {} and {} at the same place; move one", i - 1, i));
     }
@@ -183,10 +185,10 @@ void keep_one_body(const QuadrupedSpec& spec, const Field& field, HalfMesh& mesh
     }
     const Shape* second = nearest_shape(field, mesh.positions[b]);
     const Shape* first = nearest_shape(field, mesh.positions[a], second ? second->name : "");
-    input_error("{}: the solids '{}' and '{}' in [builder] do not meet, {:.3f} m are missing near {}; move or enlarge "
+    input_error("{}: the solids '{}' and '{}' in [builder] do not meet, {:.1f} mm are missing near {}; move or enlarge "
                 "one until they overlap",
                 spec.source, first ? first->name : "?", second ? second->name : "?",
-                glm::length(mesh.positions[a] - mesh.positions[b]), place(mesh.positions[b]));
+                1000 * glm::length(mesh.positions[a] - mesh.positions[b]), place(mesh.positions[b]));
   }
   if (body.size() == n) return;
   HalfMesh kept;

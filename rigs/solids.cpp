@@ -331,8 +331,10 @@ Field build_field(const QuadrupedSpec& spec, const std::vector<std::string>& joi
       if (!s.part.empty()) part = s.part;
       const auto found = std::find(joint_names.begin(), joint_names.end(), joint);
       if (found == joint_names.end() && solid.kind == Solid::Kind::add)
-        input_error("{}: solid '{}' names the joint '{}', which is not in [[builder.joints]]", spec.source, solid.name,
-                    joint);
+        input_error("{}: solid '{}' names the joint '{}', which is not in [builder] joints; {}", spec.source, solid.name, joint,
+                    std::find(joint_names.begin(), joint_names.end(), mirror_name(joint)) != joint_names.end()
+                        ? fmt::format("set mirror = true at the joint '{}', whose twin it is", mirror_name(joint))
+                        : "correct the name or add the joint");
       if (part.empty() && solid.kind != Solid::Kind::carve)
         input_error("{}: solid '{}' has no part; give its first section one", spec.source, solid.name);
       shape.joints.push_back(found == joint_names.end() ? 0 : static_cast<int>(found - joint_names.begin()));

@@ -45,7 +45,7 @@ void read_size(TomlReader& r, SolidSection& s) {
   const std::vector<double> radii = r.numbers("radii");
   if (radii.empty() || radii.size() > 3) r.fail("radii", "must be [all], [side, up] or [side, up, down], in metres");
   for (const double v : radii)
-    if (!(v > 0 && v < far)) r.fail("radii", "must be greater than 0, in metres");
+    if (!(v >= 1e-4 && v < far)) r.fail("radii", fmt::format("must be from 0.0001 to {:.0f} metres each, not {}", far, v));
   s.side = radii[0];
   s.up = radii.size() > 1 ? radii[1] : radii[0];
   s.down = radii.size() > 2 ? radii[2] : s.up;
@@ -90,17 +90,6 @@ Solid read_solid(TomlReader r, const Joints& joints) {
   return s;
 }
 
-// Another size of the same animal: every length of it.
-void scale_spec(QuadrupedSpec& spec, double factor) {
-  spec.target_edge *= factor;
-  spec.grid *= factor;
-  for (QuadrupedJoint& joint : spec.joints) joint.at *= factor;
-  for (Solid& solid : spec.solids) {
-    solid.blend *= factor, solid.cap_start *= factor, solid.cap_end *= factor;
-    for (SolidSection& s : solid.sections) s.at *= factor, s.side *= factor, s.up *= factor, s.down *= factor;
-  }
-}
-
 }  // namespace
 
 LegSpec read_leg(TomlReader r) {
@@ -143,7 +132,7 @@ QuadrupedSpec read_quadruped(TomlReader r) {
     const std::vector<Solid> solids = expand_parts(parts, spec);
     spec.solids.insert(spec.solids.end(), solids.begin(), solids.end());
   }
-  if (const double scale = r.number("scale", 1, 0.01, 100); scale != 1) scale_spec(spec, scale);
+  spec.scale = r.number("scale", 1, 0.01, 100);
   for (TomlReader& leg : r.tables("legs")) spec.legs.push_back(read_leg(leg));
   if (r.has("clips")) r.fail("clips", "has moved: one file a clip in the folder 'motion' beside this file");
   r.finish();

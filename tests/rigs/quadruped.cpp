@@ -208,7 +208,7 @@ TEST_CASE("What contradicts itself in a spec is refused with the place") {
   refuses([](Spec& s) { s.joints.push_back({"far", "root", {2, 0, 0.3}}); }, {"far", "outside the body", "1.7"});
   refuses([=](Spec& s) { s.joints[0].at.x = nan; }, {"root", "not finite"});
   // Two balls of 0.1 m whose centres are 0.15 m and 1 m from the bar of 0.1 m: the gap is 0.8 m.
-  refuses([](Spec& s) { s.solids[1].sections[0].at.y = 1; }, {"bar", "lobe", "do not meet", "0.80"});
+  refuses([](Spec& s) { s.solids[1].sections[0].at.y = 1; }, {"bar", "lobe", "do not meet", "80"});
   refuses([](Spec& s) { s.solids[0].up = {1, 0, 0}; }, {"bar", "'up'", "section 0"});
   refuses([](Spec& s) { s.solids[0].sections[1].side = 0; }, {"bar", "radius of 0", "section 1"});
   refuses([=](Spec& s) { s.solids[1].sections[0].at.z = nan; }, {"lobe", "section 0"});
