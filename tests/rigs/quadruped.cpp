@@ -261,7 +261,7 @@ TEST_CASE("Sections along bones: moving a joint moves the flesh, and the bone's 
   refused("{ along = ['left_hip'], t = 0, radii = [0.1] }", "two joints");
   refused("{ along = ['left_hip', 'left_foot'], at = [0, 0, 0], radii = [0.1] }", "'at'");
   refused("{ radii = [0.1] }", "'along'");
-  refused("{ at = [0, 0, 0], radii = [0] }", "greater than 0");
+  refused("{ at = [0, 0, 0], radii = [0] }", "from 0.0001");
   refused("{ at = [nan, 0, 0], radii = [0.1] }", "finite");
   refused("{ at = [0, 0, 0], radii = [0.1], width_m = 0.1, depth_m = 0.2 }", "radii");
 }
