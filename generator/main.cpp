@@ -13,7 +13,7 @@
 #include "generator/commands.h"
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
-#include "scenes/words.h"
+#include "generator/core/words.h"
 
 namespace {
 

@@ -8,6 +8,7 @@
 
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
+#include "generator/core/topology.h"
 #include "rigs/skin_weights.h"
 #include "rigs/warp.h"
 
@@ -26,24 +27,11 @@ struct Pieces {
 
 Pieces find_pieces(const Surface& s) {
   Pieces p;
-  std::map<std::array<float, 3>, std::uint32_t> known;
-  for (const vec3& v : s.rest)
-    p.place.push_back(
-        known.try_emplace({v.x + 0.0f, v.y + 0.0f, v.z + 0.0f}, static_cast<std::uint32_t>(known.size())).first->second);
-  std::vector<std::uint32_t> root(known.size());
-  std::iota(root.begin(), root.end(), 0u);
-  const auto find = [&](std::uint32_t v) {
-    while (root[v] != v) v = root[v] = root[root[v]];
-    return v;
-  };
-  for (const uvec3& t : s.triangles)
-    for (int k = 0; k < 2; ++k) {
-      const std::uint32_t a = find(p.place[t[k]]), b = find(p.place[t[k + 1]]);
-      root[std::max(a, b)] = std::min(a, b);
-    }
+  p.place = weld(s.rest);
+  DisjointSets sets = connected_vertices(s.rest.size(), s.triangles, p.place);
   std::map<std::uint32_t, std::uint32_t> number;
   for (const std::uint32_t v : p.place)
-    p.of_vertex.push_back(number.try_emplace(find(v), static_cast<std::uint32_t>(number.size())).first->second);
+    p.of_vertex.push_back(number.try_emplace(sets.find(v), static_cast<std::uint32_t>(number.size())).first->second);
   p.boxes.resize(number.size());
   p.areas.resize(number.size(), 0.0);
   for (const uvec3& t : s.triangles) {
@@ -307,17 +295,7 @@ void weigh(Rig& rig, const Species& base, const VoxelSolid& solid, const Seeds& 
   for (std::size_t v = 0; v < s.rest.size(); ++v)
     points[pieces.place[v]] = dvec3(s.rest[v]), piece[pieces.place[v]] = pieces.of_vertex[v];
   std::vector<double> weights = diffuse_weights(solid, seeds, static_cast<int>(bones), points);
-  std::vector<std::vector<std::uint32_t>> near(places);
-  for (const uvec3& t : s.triangles)
-    for (int k = 0; k < 3; ++k) {
-      near[pieces.place[t[k]]].push_back(pieces.place[t[(k + 1) % 3]]);
-      near[pieces.place[t[k]]].push_back(pieces.place[t[(k + 2) % 3]]);
-    }
-  for (auto& list : near) {
-    std::sort(list.begin(), list.end());
-    list.erase(std::unique(list.begin(), list.end()), list.end());
-  }
-  even_out(weights, bones, near, 2);
+  even_out(weights, bones, vertex_neighbours(places, s.triangles, pieces.place), 2);
   // Small loose pieces (eyes, teeth, horns): one set of weights each, that of the body nearest to them.
   const double most = *std::max_element(pieces.areas.begin(), pieces.areas.end());
   std::vector<dvec3> body;

@@ -1,7 +1,6 @@
 #include "rigs/mesh_checks.h"
 
 #include <algorithm>
-#include <bit>
 #include <cmath>
 #include <numeric>
 #include <queue>
@@ -10,25 +9,13 @@
 
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
+#include "generator/core/topology.h"
 
 namespace moomill {
 namespace {
 
 using Index = std::uint32_t;
 constexpr Index none = ~Index{0};
-
-struct Sets {
-  std::vector<Index> root;
-  explicit Sets(std::size_t n) : root(n) { std::iota(root.begin(), root.end(), Index{0}); }
-  Index find(Index v) {
-    while (root[v] != v) v = root[v] = root[root[v]];
-    return v;
-  }
-  void join(Index a, Index b) {
-    a = find(a), b = find(b);
-    root[std::max(a, b)] = std::min(a, b);
-  }
-};
 
 int sign(double v) {
   return (v > 0) - (v < 0);
@@ -226,27 +213,6 @@ double percentile(const std::vector<std::pair<double, double>>& sorted, double t
 
 }  // namespace
 
-std::vector<std::uint32_t> weld(const std::vector<vec3>& positions) {
-  struct Hash {
-    std::size_t operator()(const std::array<std::uint32_t, 3>& k) const {
-      std::uint64_t h = k[0];
-      h = (h * 0x9e3779b97f4a7c15u) ^ k[1];
-      h = (h * 0x9e3779b97f4a7c15u) ^ k[2];
-      return h ^ (h >> 29);
-    }
-  };
-  std::unordered_map<std::array<std::uint32_t, 3>, std::uint32_t, Hash> known;
-  known.reserve(2 * positions.size());
-  std::vector<std::uint32_t> place(positions.size());
-  for (std::size_t i = 0; i < positions.size(); ++i) {
-    const vec3 p = positions[i] + 0.0f;  // minus zero is zero
-    const auto bits = [](float v) { return std::bit_cast<std::uint32_t>(v); };
-    place[i] =
-        known.try_emplace({bits(p.x), bits(p.y), bits(p.z)}, static_cast<std::uint32_t>(known.size())).first->second;
-  }
-  return place;
-}
-
 MeshChecks check_mesh(const std::vector<vec3>& positions, const std::vector<uvec3>& triangles,
                       const std::vector<std::uint32_t>& place, bool intersections) {
   check(place.size() == positions.size(), "check_mesh: one place per vertex");
@@ -308,7 +274,7 @@ MeshChecks check_mesh(const std::vector<vec3>& positions, const std::vector<uvec
     return std::tie(x.a, x.b, x.corner) < std::tie(y.a, y.b, y.corner);
   });
   found.vertices = static_cast<std::size_t>(std::count(used.begin(), used.end(), 1));
-  Sets pieces(places), corners(3 * triangles.size()), loops(places);
+  DisjointSets pieces(places), corners(3 * triangles.size()), loops(places);
   std::vector<std::uint8_t> on_border(places, 0);
   const auto normal = [&](Index t) {
     const dvec3 a(positions[triangles[t].x]), b(positions[triangles[t].y]), c(positions[triangles[t].z]);
@@ -408,7 +374,7 @@ std::vector<Ring> find_rings(const std::vector<vec3>& positions, const std::vect
       if (back[edges[e].a] != e && back[edges[e].b] != e && std::isfinite(far[edges[e].a]))
         order.emplace_back(-(far[edges[e].a] + far[edges[e].b] + length(edges[e])), e);
     std::sort(order.begin(), order.end());
-    Sets faces(triangles.size());
+    DisjointSets faces(triangles.size());
     std::vector<std::vector<Index>> rings;
     for (const auto& [unused, e] : order) {
       if (faces.find(edges[e].left) != faces.find(edges[e].right)) {
@@ -471,7 +437,7 @@ AtlasChecks check_atlas(const Surface& s, int resolution) {
     };
     at.push_back({fixed(uv.x), fixed(uv.y)});
   }
-  Sets charts(s.rest.size());
+  DisjointSets charts(s.rest.size());
   for (const uvec3& t : s.triangles) charts.join(t.x, t.y), charts.join(t.y, t.z);
   std::vector<std::uint8_t> used(s.rest.size(), 0);
   for (const uvec3& t : s.triangles) used[charts.find(t.x)] = 1;

@@ -7,12 +7,9 @@
 #include <vector>
 
 #include "generator/core/surface.h"
+#include "generator/core/topology.h"
 
 namespace moomill {
-
-// For every vertex the number of its place: vertices with bit-equal positions share it, so that seams of UVs and
-// normals are not borders. Numbers are dense, in order of first occurrence.
-std::vector<std::uint32_t> weld(const std::vector<vec3>& positions);
 
 struct MeshChecks {
   std::size_t vertices = 0, triangles = 0, edges = 0;  // vertices after welding, used ones only

@@ -5,6 +5,7 @@
 
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
+#include "generator/core/topology.h"
 #include "rigs/quadruped_check.h"
 #include "rigs/remesh.h"
 #include "rigs/skin_weights.h"
@@ -78,16 +79,7 @@ std::vector<double> skin_weights(const HalfMesh& mesh, const Field& field, const
   });
   std::vector<double> weights = diffuse_weights(solid, seeds, static_cast<int>(joints), mesh.positions);
   std::vector<double> next(n * joints);
-  std::vector<std::vector<std::uint32_t>> near(n);
-  for (const uvec3& t : mesh.triangles)
-    for (int k = 0; k < 3; ++k) {
-      near[t[k]].push_back(t[(k + 1) % 3]);
-      near[t[k]].push_back(t[(k + 2) % 3]);
-    }
-  for (auto& list : near) {
-    std::sort(list.begin(), list.end());
-    list.erase(std::unique(list.begin(), list.end()), list.end());
-  }
+  const std::vector<std::vector<std::uint32_t>> near = vertex_neighbours(n, mesh.triangles);
   constexpr int rounds = 3;
   for (int round = 0; round <= rounds; ++round) {
     parallel_for(n, 64, [&](std::size_t i) {

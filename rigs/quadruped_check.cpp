@@ -2,10 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
 #include <set>
 
 #include "generator/core/error.h"
+#include "generator/core/topology.h"
 #include "rigs/mesh_checks.h"
 
 namespace moomill {
@@ -138,17 +138,8 @@ void check_numbers(const QuadrupedSpec& spec) {
 
 void keep_one_body(const QuadrupedSpec& spec, const Field& field, HalfMesh& mesh) {
   const std::size_t n = mesh.positions.size();
-  std::vector<std::uint32_t> root(n);
-  std::iota(root.begin(), root.end(), 0u);
-  const auto top = [&](std::uint32_t v) {
-    while (root[v] != v) v = root[v] = root[root[v]];
-    return v;
-  };
-  for (const uvec3& t : mesh.triangles)
-    for (int k = 0; k < 2; ++k) {
-      const std::uint32_t a = top(t[k]), b = top(t[k + 1]);
-      root[std::max(a, b)] = std::min(a, b);
-    }
+  DisjointSets bodies = connected_vertices(n, mesh.triangles);
+  const auto top = [&](std::uint32_t v) { return bodies.find(v); };
   // Signed volumes: the missing half of the border lies in y = 0, through the origin, and counts nothing.
   std::vector<double> volume(n, 0.0);
   for (const uvec3& t : mesh.triangles)

@@ -6,6 +6,8 @@
 #include <map>
 #include <queue>
 
+#include "generator/core/topology.h"
+
 namespace moomill {
 namespace {
 
@@ -28,17 +30,6 @@ bool overlaps(const std::array<dvec3, 3>& v, double h) {
       if (std::min({p0, p1, p2}) > r || std::max({p0, p1, p2}) < -r) return false;
     }
   return true;
-}
-
-// One number per distinct position.
-std::vector<std::uint32_t> weld(const std::vector<dvec3>& positions) {
-  std::map<std::array<double, 3>, std::uint32_t> known;
-  std::vector<std::uint32_t> id;
-  id.reserve(positions.size());
-  for (const dvec3& p : positions)
-    id.push_back(known.try_emplace({p.x + 0.0, p.y + 0.0, p.z + 0.0}, static_cast<std::uint32_t>(known.size()))
-                     .first->second);
-  return id;
 }
 
 // Fans of triangles over the loops of the open border. A branching border is walked edge by edge; what does not come

@@ -4,7 +4,7 @@
 #include "scenes/motion_file.h"
 #include "scenes/quadruped_file.h"
 #include "scenes/scene.h"
-#include "scenes/toml.h"
+#include "generator/core/toml.h"
 
 namespace moomill {
 namespace {

@@ -7,7 +7,7 @@
 
 #include "generator/core/random.h"
 #include "scenes/coat_file.h"
-#include "scenes/toml.h"
+#include "generator/core/toml.h"
 
 namespace moomill {
 namespace {

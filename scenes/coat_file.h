@@ -1,6 +1,6 @@
 #pragma once
 // The keys of a procedural coat, shared by coat files and breed files.
-#include "scenes/toml.h"
+#include "generator/core/toml.h"
 #include "textures/coat.h"
 
 namespace moomill {

@@ -5,7 +5,7 @@
 #include "generator/core/error.h"
 #include "scenes/breed_file.h"
 #include "scenes/scene.h"
-#include "scenes/words.h"
+#include "generator/core/words.h"
 
 namespace moomill {
 namespace fs = std::filesystem;

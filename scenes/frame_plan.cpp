@@ -2,7 +2,7 @@
 #include "generator/core/error.h"
 #include "generator/core/random.h"
 #include "scenes/scene.h"
-#include "scenes/words.h"
+#include "generator/core/words.h"
 
 namespace moomill {
 namespace {

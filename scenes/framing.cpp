@@ -1,7 +1,7 @@
 // What can be known of a species at once, and default cameras fitted to its size.
 #include "scenes/scene.h"
 #include "scenes/species_summary.h"
-#include "scenes/toml.h"
+#include "generator/core/toml.h"
 
 namespace moomill {
 

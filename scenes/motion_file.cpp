@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "scenes/toml.h"
+#include "generator/core/toml.h"
 
 namespace moomill {
 namespace {

@@ -3,7 +3,7 @@
 
 #include "generator/core/error.h"
 #include "scenes/scene.h"
-#include "scenes/words.h"
+#include "generator/core/words.h"
 
 namespace moomill {
 namespace {

@@ -1,7 +1,7 @@
 #pragma once
 // Reads [[builder.parts]] of a species file (docs/species.md has the keys).
 #include "rigs/parts.h"
-#include "scenes/toml.h"
+#include "generator/core/toml.h"
 
 namespace moomill {
 

@@ -1,7 +1,7 @@
 #pragma once
 // The [builder] table of a species file: see rigs/README.md for its keys.
 #include "rigs/quadruped.h"
-#include "scenes/toml.h"
+#include "generator/core/toml.h"
 
 namespace moomill {
 

@@ -5,7 +5,7 @@
 #include <optional>
 
 #include "scenes/scene.h"
-#include "scenes/toml.h"
+#include "generator/core/toml.h"
 
 namespace moomill {
 

@@ -8,7 +8,7 @@
 #include "scenes/breed_file.h"
 #include "scenes/read_distribution.h"
 #include "scenes/scene.h"
-#include "scenes/toml.h"
+#include "generator/core/toml.h"
 
 namespace moomill {
 namespace {

@@ -5,11 +5,11 @@
 #include <cmath>
 #include <cstring>
 #include <queue>
-#include <unordered_map>
 
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
 #include "generator/core/random.h"
+#include "generator/core/topology.h"
 #include "textures/noise.h"
 
 namespace moomill {
@@ -17,27 +17,13 @@ namespace {
 
 constexpr std::size_t sample_count = 8192;
 
-struct VecHash {
-  std::size_t operator()(const std::array<std::uint32_t, 3>& v) const {
-    return (v[0] * 0x9e3779b97f4a7c15ull ^ v[1]) * 0xbf58476d1ce4e5b9ull ^ v[2];
-  }
-};
-
 // Vertices of equal position are one here.
-void weld(Hide& hide) {
+void weld_hide(Hide& hide) {
   const Surface& s = *hide.surface;
-  std::unordered_map<std::array<std::uint32_t, 3>, std::uint32_t, VecHash> seen;
-  seen.reserve(s.rest.size());
-  hide.welded.resize(s.rest.size());
-  for (std::size_t i = 0; i < s.rest.size(); ++i) {
-    std::array<std::uint32_t, 3> bits;
-    const vec3 p = s.rest[i] + 0.0f;  // minus zero welds with zero
-    std::memcpy(bits.data(), &p, sizeof p);
-    const auto [at, added] = seen.try_emplace(bits, static_cast<std::uint32_t>(seen.size()));
-    if (added) hide.positions.push_back(p);
-    hide.welded[i] = at->second;
-  }
-  hide.welded_count = seen.size();
+  hide.welded = weld(s.rest);
+  for (std::size_t i = 0; i < s.rest.size(); ++i)
+    if (hide.welded[i] == hide.positions.size()) hide.positions.push_back(s.rest[i] + 0.0f);
+  hide.welded_count = hide.positions.size();
   std::vector<std::pair<std::uint32_t, std::uint32_t>> edges;
   edges.reserve(6 * s.triangles.size());
   for (const uvec3& t : s.triangles)
@@ -164,7 +150,7 @@ Hide make_hide(const Surface& surface, const std::vector<std::string>& part_name
   hide.hair = hair;
   for (const uvec3& t : surface.triangles)
     for (int k = 0; k < 3; ++k) hide.box.add(dvec3(surface.rest[t[k]]));
-  weld(hide);
+  weld_hide(hide);
   lay_hair(hide);
   spread_samples(hide);
   return hide;

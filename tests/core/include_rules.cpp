@@ -62,7 +62,7 @@ TEST_CASE("libraries include only what the architecture lets them") {
 TEST_CASE("every external library stands behind one file") {
   const std::map<std::string, std::string> owner = {
       {"embree3/", "generator/render/accel.cpp"}, {"tiny_gltf.h", "rigs/gltf.cpp"},   {"assimp/", "rigs/assimp.cpp"},
-      {"toml++/", "scenes/toml.h"},               {"turbojpeg.h", "generator/dataset/jpeg.cpp"},
+      {"toml++/", "generator/core/toml.h"},               {"turbojpeg.h", "generator/dataset/jpeg.cpp"},
       {"png.h", "generator/dataset/png.cpp"},     {"OpenEXR/", "generator/dataset/exr.cpp"},
       {"OpenImageIO/", "generator/dataset/oiio.cpp"},
   };

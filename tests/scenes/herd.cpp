@@ -11,7 +11,7 @@
 #include "scenes/breed_file.h"
 #include "scenes/generate.h"
 #include "scenes/runner.h"
-#include "tests/scenes/temporary_file.h"
+#include "tests/temporary_file.h"
 
 using namespace moomill;
 using test::contains;

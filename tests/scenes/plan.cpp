@@ -2,7 +2,7 @@
 
 #include <doctest/doctest.h>
 
-#include "tests/scenes/temporary_file.h"
+#include "tests/temporary_file.h"
 
 using namespace moomill;
 using namespace moomill::test;

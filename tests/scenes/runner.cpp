@@ -4,7 +4,7 @@
 #include <doctest/doctest.h>
 
 #include "generator/render/camera.h"
-#include "tests/scenes/temporary_file.h"
+#include "tests/temporary_file.h"
 
 using namespace moomill;
 

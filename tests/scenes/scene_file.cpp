@@ -3,7 +3,7 @@
 #include <cstdlib>
 
 #include "scenes/scene.h"
-#include "tests/scenes/temporary_file.h"
+#include "tests/temporary_file.h"
 
 using namespace moomill;
 using namespace moomill::test;

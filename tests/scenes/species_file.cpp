@@ -1,7 +1,7 @@
 #include <doctest/doctest.h>
 
 #include "scenes/scene.h"
-#include "tests/scenes/temporary_file.h"
+#include "tests/temporary_file.h"
 
 using namespace moomill;
 using namespace moomill::test;

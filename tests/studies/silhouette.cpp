@@ -4,7 +4,7 @@
 #include <doctest/doctest.h>
 
 #include "generator/core/random.h"
-#include "tests/scenes/temporary_file.h"
+#include "tests/temporary_file.h"
 #include "validate/studies/evolution.h"
 
 using namespace moomill;

@@ -1,6 +1,6 @@
 // Reading validate/silhouettes/*.toml (documented in the README.md beside them).
 #include "scenes/scene.h"
-#include "scenes/toml.h"
+#include "generator/core/toml.h"
 #include "validate/studies/silhouette.h"
 
 namespace moomill {

@@ -1,8 +1,8 @@
-#include "scenes/toml.h"
+#include "generator/core/toml.h"
 
 #include <doctest/doctest.h>
 
-#include "tests/scenes/temporary_file.h"
+#include "tests/temporary_file.h"
 
 using namespace moomill;
 using namespace moomill::test;

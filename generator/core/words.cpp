@@ -1,4 +1,4 @@
-#include "scenes/words.h"
+#include "generator/core/words.h"
 
 #include <fmt/format.h>
 

@@ -1,5 +1,5 @@
 #define TOML_IMPLEMENTATION
-#include "scenes/toml.h"
+#include "generator/core/toml.h"
 
 #include <cerrno>
 #include <cstring>

@@ -1,7 +1,7 @@
 #pragma once
 // Strict reading of TOML: every key must be known, every value of the right type and range; a mistake is one sentence
 // with file, line and mend ("scenes/a.toml:12: unknown key 'camreas' in [render]; did you mean 'cameras'?").
-// The only header that shows toml++; included by the scene, species and coat readers alone.
+// The only header that shows toml++.
 #include <filesystem>
 #include <functional>
 #include <map>
@@ -12,7 +12,7 @@
 
 #include "generator/core/error.h"
 #include "generator/core/math.h"
-#include "scenes/words.h"
+#include "generator/core/words.h"
 
 // The parser is compiled once, in toml.cpp.
 #define TOML_HEADER_ONLY 0
