@@ -34,9 +34,11 @@ struct FloatAvx2 {
     const Vector magnitude = _mm256_andnot_ps(_mm256_set1_ps(-0.0f), v);
     return _mm256_movemask_ps(_mm256_cmp_ps(magnitude, _mm256_set1_ps(limit), _CMP_LE_OQ)) == 0xff;
   }
-  // v 2^n for whole n from -126 to 0; n and v of less end near the smallest normal number.
+  // What exp2_of_negative may be asked for: below, the exponent of scale leaves the range of normal numbers.
+  static Vector least_exponent(Vector v) { return _mm256_max_ps(_mm256_set1_ps(-126), v); }
+  // v 2^n for whole n from -126 to 0.
   static Vector scale(Vector v, Vector n) {
-    const __m256i exponent = _mm256_slli_epi32(_mm256_cvtps_epi32(_mm256_max_ps(_mm256_set1_ps(-126), n)), 23);
+    const __m256i exponent = _mm256_slli_epi32(_mm256_cvtps_epi32(n), 23);
     return v * _mm256_castsi256_ps(_mm256_add_epi32(exponent, _mm256_set1_epi32(127 << 23)));
   }
   // Sine and cosine of r + quarter pi / 2 from those of r.
@@ -84,6 +86,8 @@ struct FloatAvx512 {
   static bool all_within(Vector v, float limit) {
     return _mm512_cmp_ps_mask(_mm512_abs_ps(v), _mm512_set1_ps(limit), _CMP_LE_OQ) == 0xffff;
   }
+  static Vector least_exponent(Vector v) { return v; }
+  // Any n; NaN 2^-infinity is 0, as exp2_of_negative needs it.
   static Vector scale(Vector v, Vector n) { return _mm512_scalef_ps(v, n); }
   static void turn(Vector quarter, Vector& sine, Vector& cosine) {
     const __m512i q = _mm512_cvtps_epi32(quarter), one = _mm512_set1_epi32(1);
@@ -105,7 +109,7 @@ Element* take(char*& at, std::size_t count) {
   return taken;
 }
 
-// 2^x for x <= 0, and NaN for NaN. Float: relative error 2e-7; below 2^-126 it is that, or 0, or between.
+// 2^x for x <= 0, and NaN for NaN. Float: relative error 2e-7; below 2^-126 anything from 0 to that.
 template <class S>
 MOOMILL_INLINE typename S::Vector exp2_of_negative(typename S::Vector x) {
   if constexpr (sizeof(typename S::Scalar) == 8) {
@@ -114,6 +118,7 @@ MOOMILL_INLINE typename S::Vector exp2_of_negative(typename S::Vector x) {
     for (double& lane : lanes) lane = ::exp2(lane);
     return S::load(lanes);
   } else {
+    x = S::least_exponent(x);
     const auto whole = S::round(x);
     const auto rest = x - whole;
     // 1 + rest q(rest), q interpolating (2^x - 1) / x at the Chebyshev nodes of [-1/2, 1/2]: relative error 2e-7.
