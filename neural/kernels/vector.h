@@ -18,11 +18,16 @@ namespace {
 struct FloatAvx2 {
   using Scalar = float;
   using Vector = __m256;
+  using Operand = Scalar;  // of products
+  using OperandVector = Vector;
   static constexpr int width = 8, panel_vectors = 2;  // registers of a product: 6 x 2 sums, 2 + 1 operands, of 16
   static Vector load(const float* p) { return _mm256_loadu_ps(p); }
   static void store(float* p, Vector v) { _mm256_storeu_ps(p, v); }
   static Vector all(float x) { return _mm256_set1_ps(x); }
   static Vector fma(Vector a, Vector b, Vector c) { return _mm256_fmadd_ps(a, b, c); }
+  static Vector load_operand(const Operand* p) { return load(p); }
+  static Vector spread_operand(Operand x) { return all(x); }
+  static Vector multiply_add(Vector a, Vector b, Vector sum) { return fma(a, b, sum); }
   static Vector max(Vector a, Vector b) { return _mm256_max_ps(a, b); }  // b where either is NaN
   static Vector round(Vector v) { return _mm256_round_ps(v, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC); }
   // v where x is not <= 0 (so also where it is NaN), else 0.
@@ -58,11 +63,16 @@ struct FloatAvx2 {
 struct DoubleAvx2 {
   using Scalar = double;
   using Vector = __m256d;
+  using Operand = Scalar;  // of products
+  using OperandVector = Vector;
   static constexpr int width = 4, panel_vectors = 2;
   static Vector load(const double* p) { return _mm256_loadu_pd(p); }
   static void store(double* p, Vector v) { _mm256_storeu_pd(p, v); }
   static Vector all(double x) { return _mm256_set1_pd(x); }
   static Vector fma(Vector a, Vector b, Vector c) { return _mm256_fmadd_pd(a, b, c); }
+  static Vector load_operand(const Operand* p) { return load(p); }
+  static Vector spread_operand(Operand x) { return all(x); }
+  static Vector multiply_add(Vector a, Vector b, Vector sum) { return fma(a, b, sum); }
   static Vector max(Vector a, Vector b) { return _mm256_max_pd(a, b); }
   static Vector where_positive(Vector x, Vector v) {
     return _mm256_and_pd(_mm256_cmp_pd(x, _mm256_setzero_pd(), _CMP_NLE_UQ), v);
@@ -73,11 +83,16 @@ struct DoubleAvx2 {
 struct FloatAvx512 {
   using Scalar = float;
   using Vector = __m512;
+  using Operand = Scalar;  // of products
+  using OperandVector = Vector;
   static constexpr int width = 16, panel_vectors = 4;  // 6 x 4 sums, 4 + 1 operands, of 32 registers
   static Vector load(const float* p) { return _mm512_loadu_ps(p); }
   static void store(float* p, Vector v) { _mm512_storeu_ps(p, v); }
   static Vector all(float x) { return _mm512_set1_ps(x); }
   static Vector fma(Vector a, Vector b, Vector c) { return _mm512_fmadd_ps(a, b, c); }
+  static Vector load_operand(const Operand* p) { return load(p); }
+  static Vector spread_operand(Operand x) { return all(x); }
+  static Vector multiply_add(Vector a, Vector b, Vector sum) { return fma(a, b, sum); }
   static Vector max(Vector a, Vector b) { return _mm512_max_ps(a, b); }
   static Vector round(Vector v) { return _mm512_roundscale_ps(v, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC); }
   static Vector where_positive(Vector x, Vector v) {
@@ -97,6 +112,17 @@ struct FloatAvx512 {
     const Vector s = _mm512_mask_mov_ps(sine, odd, cosine), c = _mm512_mask_mov_ps(cosine, odd, sine);
     sine = _mm512_castsi512_ps(_mm512_xor_si512(_mm512_castps_si512(s), flip_sine));
     cosine = _mm512_castsi512_ps(_mm512_xor_si512(_mm512_castps_si512(c), flip_cosine));
+  }
+};
+
+// Products of pairs of bfloat16, added up in float.
+struct PairsAvx512 : FloatAvx512 {
+  using Operand = std::uint32_t;  // the even k in the low half
+  using OperandVector = __m512i;
+  static OperandVector load_operand(const Operand* p) { return _mm512_loadu_si512(p); }
+  static OperandVector spread_operand(Operand x) { return _mm512_set1_epi32(int(x)); }
+  static Vector multiply_add(OperandVector a, OperandVector b, Vector sum) {
+    return _mm512_dpbf16_ps(sum, __m512bh(a), __m512bh(b));
   }
 };
 #endif

@@ -406,3 +406,36 @@ TEST_CASE("fused operators refuse what does not fit") {
   CHECK_THROWS_AS(fused_head(y, random_head(32, 16, 1, 1, at::kFloat, 103)), std::logic_error);
   CHECK_THROWS_AS(nearest_keys(at::zeros({1, 2, 2}), at::zeros({1, 3, 2}), 4), std::logic_error);
 }
+
+TEST_CASE("bfloat16 products stay near float, and are refused where the processor has none") {
+  const AttentionTerms terms = random_terms(
+      {.frames = 3, .queries = 61, .keys = 25, .neighbours = 12, .components = 2, .channels = 80}, at::kFloat, 110);
+  const HeadWeights weights = random_head(48, 80, 3, 3, at::kFloat, 111);
+  const Tensor y = Dice(112, at::kFloat).normal({299, 48});
+  limit_instruction_set(InstructionSet::avx2);
+  CHECK(!has_bfloat16());
+  CHECK_THROWS_AS(fused_attention(terms, Precision::bfloat16), InputError);
+  CHECK_THROWS_AS(fused_head(y, weights, Precision::bfloat16), InputError);
+  limit_instruction_set(InstructionSet::avx512);
+  if (!has_bfloat16()) return;
+  // A factor of bfloat16 is off by up to 2^-9; sums of many average that out. Gradients are off by more: some ReLUs of
+  // the deep head switch.
+  auto compare = [](const Tensor& half, const Tensor& full, const std::vector<Tensor>& inputs) {
+    CHECK(worst(half, full) < 0.02);
+    CHECK(worst(half, full) > 1e-6);  // it is not float
+    CHECK((half - full).norm().item<double>() < 0.004 * full.norm().item<double>());
+    const auto found = gradients_of(half, inputs, 113), truth = gradients_of(full, inputs, 113);
+    for (std::size_t i = 0; i < truth.size(); ++i) {
+      CAPTURE(i);
+      CHECK((found[i] - truth[i]).norm().item<double>() < 0.1 * truth[i].norm().item<double>());
+    }
+  };
+  compare(fused_attention(terms, Precision::bfloat16), fused_attention(terms), differentiable(terms));
+  auto inputs = differentiable(weights);
+  inputs.push_back(y);
+  compare(fused_head(y, weights, Precision::bfloat16), fused_head(y, weights), inputs);
+  // Everything a float holds has a place in bfloat16, and NaN stays NaN.
+  const torch::NoGradGuard no_grad;
+  terms.query[1][0] = NAN;
+  CHECK(fused_attention(terms, Precision::bfloat16).isnan().any(2).sum().item<int>() == 1);
+}

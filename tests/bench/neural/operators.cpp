@@ -51,6 +51,7 @@ void report(benchmark::State& state, double flops) {
 // What a training step asks of the cross-attention of query pixels: gradients of all but positions.
 void attention(benchmark::State& state, Case c, bool fused, Precision precision) {
   set_threads(state);
+  if (precision == Precision::bfloat16 && !has_bfloat16()) return state.SkipWithError("no AVX512-BF16");
   AttentionTerms terms = plain::random_terms(c.attention, at::kFloat, 1);
   terms.query_position = terms.query_position.detach();
   terms.key_position = terms.key_position.detach();
@@ -68,6 +69,7 @@ void attention(benchmark::State& state, Case c, bool fused, Precision precision)
 
 void head(benchmark::State& state, Case c, bool fused, Precision precision) {
   set_threads(state);
+  if (precision == Precision::bfloat16 && !has_bfloat16()) return state.SkipWithError("no AVX512-BF16");
   const int d = c.attention.channels, h = c.head_width, rows = c.attention.frames * c.attention.queries;
   const HeadWeights weights = plain::random_head(d, h, c.head_blocks, 3, at::kFloat, 1);
   const torch::Tensor features = plain::Dice(2, at::kFloat).normal({rows, d});
@@ -102,12 +104,16 @@ void nearest(benchmark::State& state, Case c) {
 MOOMILL_BENCH(attention, compact_plain_8, compact(8), false, Precision::float32);
 MOOMILL_BENCH(attention, compact_fused_8, compact(8), true, Precision::float32);
 MOOMILL_BENCH(attention, compact_fused_64, compact(64), true, Precision::float32);
+MOOMILL_BENCH(attention, compact_bfloat16_64, compact(64), true, Precision::bfloat16);
 MOOMILL_BENCH(attention, paper_plain_2, paper(2), false, Precision::float32);
 MOOMILL_BENCH(attention, paper_fused_2, paper(2), true, Precision::float32);
+MOOMILL_BENCH(attention, paper_bfloat16_2, paper(2), true, Precision::bfloat16);
 MOOMILL_BENCH(head, compact_plain_64, compact(64), false, Precision::float32);
 MOOMILL_BENCH(head, compact_fused_64, compact(64), true, Precision::float32);
+MOOMILL_BENCH(head, compact_bfloat16_64, compact(64), true, Precision::bfloat16);
 MOOMILL_BENCH(head, paper_plain_4, paper(4), false, Precision::float32);
 MOOMILL_BENCH(head, paper_fused_4, paper(4), true, Precision::float32);
+MOOMILL_BENCH(head, paper_bfloat16_4, paper(4), true, Precision::bfloat16);
 MOOMILL_BENCH(nearest, compact_64, compact(64));
 
 BENCHMARK_MAIN();
