@@ -30,7 +30,7 @@ fs::path config_file(const std::string& name) {
 
 void use_threads(int threads) {
   at::set_num_threads(threads > 0 ? threads : hardware_threads());
-  at::set_flush_denormal(true);
+  at::globalContext().setFlushDenormal(true);
 }
 
 TrainingControl control_of(const TrainCommand& c) {
@@ -49,7 +49,9 @@ int run_train(const TrainCommand& c, bool texture) {
   const NetepuConfig config = read_config(config_file(c.config));
   std::vector<int> coats = c.coats;
   if (texture && coats.empty()) coats = coats_of_dataset(c.dataset);
-  const SampleSource source(c.dataset, coats, c.cache);
+  const SampleSource source(c.dataset, coats, c.cache, [](const std::string& what, std::size_t done, std::size_t of) {
+    if (done == of) spdlog::info("packed {}", what);
+  });
   spdlog::info(source.describe());
   const TrainingControl control = control_of(c);
   const TrainingEnd end = texture ? train_texture(source, config, c.geometry, c.out, control)
