@@ -86,5 +86,6 @@ NetepuConfig read_config(const std::filesystem::path& file);
 nlohmann::json to_json(const ModelConfig& model);
 ModelConfig model_from_json(const nlohmann::json& json, const std::string& file);  // InputError names what does not fit
 nlohmann::json to_json(const NetepuConfig& config);
+NetepuConfig config_from_json(const nlohmann::json& json, const std::string& file);
 
 }  // namespace moomill
