@@ -5,6 +5,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
@@ -48,7 +49,7 @@ struct SampleOptions {
 };
 
 struct Batch {
-  std::vector<ViewId> views;        // B
+  std::vector<ViewId> views;        // B: whose pictures these are (before turning)
   torch::Tensor keypoints;          // [B, K, 3] world metres, turned, without noise
   torch::Tensor noisy_keypoints;    // the same with noise
   torch::Tensor keypoints_2d;       // [B, K, 2] projections of keypoints, image units
@@ -68,8 +69,9 @@ class SampleSource {
  public:
   // cache: where the packed files lie; empty: <dataset>/../<name>.cache. With the nepumoo layout but no manifest (a dataset from
   // elsewhere) keypoints.csv, parameters.cfg and the folder names say what there is. InputError in one sentence.
-  // coats: which are needed (packed and checked); geometry alone needs none.
-  SampleSource(const std::filesystem::path& dataset, const std::vector<int>& coats, const std::filesystem::path& cache = {});
+  // coats: which are needed (packed and checked); geometry alone needs none. progress: told what is being packed, and how far.
+  SampleSource(const std::filesystem::path& dataset, const std::vector<int>& coats, const std::filesystem::path& cache = {},
+               const std::function<void(const std::string& what, std::size_t done, std::size_t of)>& progress = {});
   ~SampleSource();
   int keypoint_count() const;
   int width() const;
@@ -78,14 +80,16 @@ class SampleSource {
   double reader_radius() const;   // metres, of the manifest (1.5 without)
   const std::vector<int>& coats() const;
   std::vector<std::string> coat_names() const;  // parallel to coats()
-  std::vector<int> frames(Split split) const;
+  std::vector<int> available_coats() const;     // all that the dataset has pictures of
+  std::vector<int> frames(Split split) const;   // empty where a split has none; frames that no camera sees are left out
   std::vector<int> cameras() const;
   std::string describe() const;  // one line: poses, cameras, coats, resolution, split sizes
   FullView view(const ViewId& id) const;
   // The texture encoder's input of a view, masked, at width x height (0: as rendered): [6 or 3, h, w].
   torch::Tensor encoder_image(const FullView& view, int width, int height) const;
 
-  int batches_per_epoch(const SampleOptions& options) const;  // the last, short batch is dropped while training
+  // The last, short batch of an epoch is dropped while training, unless it is the only one. InputError when the split is empty.
+  int batches_per_epoch(const SampleOptions& options) const;
   Batch batch(const SampleOptions& options, int epoch, int index) const;
 
  private:
