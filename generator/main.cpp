@@ -1,56 +1,12 @@
-// The command line of moomill: options, help, exit status. What the commands do is in commands.cpp.
-//
-// Exit status: 0 done, 1 failed while running, 2 bad usage or bad input.
-#include <spdlog/sinks/stdout_color_sinks.h>
-#include <spdlog/spdlog.h>
+// The command line of moomill: commands, options, help. What the commands do is in commands.cpp.
 #include <CLI/CLI.hpp>
 
-#include <unistd.h>
-
-#include <csignal>
-#include <cstdio>
-
+#include "generator/command_line.h"
 #include "generator/commands.h"
-#include "generator/core/error.h"
-#include "generator/core/parallel.h"
-#include "generator/core/words.h"
 
 namespace {
 
 using namespace moomill;
-
-constexpr int failed_status = 1, usage_status = 2;
-
-std::atomic<bool> stop_wanted{false};
-
-// The first signal lets the frames in flight finish; the second, whose handling is the default again, kills.
-void stop_on_signal() {
-  struct sigaction action {};
-  action.sa_handler = [](int) {
-    stop_wanted.store(true);
-    // Only what a signal handler may call; the handler is gone after the first signal, so a second one ends at once.
-    constexpr char text[] = "\nmoomill: stopping after the views in flight; once more ends at once\n";
-    [[maybe_unused]] const auto written = ::write(2, text, sizeof text - 1);
-  };
-  action.sa_flags = SA_RESETHAND;
-  sigemptyset(&action.sa_mask);
-  sigaction(SIGINT, &action, nullptr);
-  sigaction(SIGTERM, &action, nullptr);
-}
-
-void log_to_stderr() {
-  auto logger = spdlog::stderr_color_mt("moomill");
-  logger->set_pattern("%^%l%$: %v");
-  spdlog::set_default_logger(logger);
-}
-
-void complain(const std::string& sentence) {
-  fmt::print(stderr, "moomill: {}\n", sentence);
-}
-
-void add_example(CLI::App* app, const std::string& example) {
-  app->footer("\nExample:\n  " + example);
-}
 
 void add_scene_options(CLI::App* app, SceneOptions& o) {
   app->add_option("--frames", o.frames, "frames A to B only, both included")->type_name("A:B");
@@ -59,49 +15,6 @@ void add_scene_options(CLI::App* app, SceneOptions& o) {
   app->add_option("--modalities", o.modalities, "these instead of the scene's, or all")->type_name("rgb,depth");
   app->add_option("--resolution", o.resolution, "of the pictures")->type_name("WxH");
   app->add_option("--spp", o.samples, "samples per pixel")->type_name("N");
-}
-
-// Declares a command and what it runs; its status ends up in `status`.
-template <class Run>
-CLI::App* add_command(CLI::App& app, const char* name, const char* about, const char* example, int& status, Run run) {
-  CLI::App* command = app.add_subcommand(name, about);
-  command->callback([&status, run] { status = run(); });
-  add_example(command, example);
-  return command;
-}
-
-// The command that was named, down to `rig info`.
-const CLI::App* innermost(const CLI::App* app) {
-  for (auto found = app->get_subcommands(); !found.empty(); found = app->get_subcommands()) app = found.front();
-  return app;
-}
-
-std::string full_name(const CLI::App* app) {
-  if (!app->get_parent()) return app->get_name();
-  return full_name(app->get_parent()) + " " + app->get_name();
-}
-
-// What is wrong with the command line, in one sentence with the mend.
-std::string usage_sentence(const CLI::App& app, const CLI::ParseError& error) {
-  const CLI::App* command = innermost(&app);
-  const std::string help = fmt::format("`{} --help` has an example", full_name(command));
-  std::vector<std::string> commands, options;
-  for (const CLI::App* c : command->get_subcommands([](const CLI::App*) { return true; }))
-    commands.push_back(c->get_name());
-  for (const CLI::Option* o : command->get_options())
-    for (const std::string& name : o->get_lnames()) options.push_back("--" + name);
-  for (const std::string& word : command->remaining(true)) {
-    if (word.rfind("-", 0) == 0)
-      return fmt::format("unknown option '{}'{}", word,
-                         suggestion(word.substr(0, word.find('=')), options, help + "; known are"));
-    if (!commands.empty()) return fmt::format("unknown command '{}'{}", word, suggestion(word, commands, "known are"));
-    return fmt::format("unexpected argument '{}'; {}", word, help);
-  }
-  std::string what = error.what();
-  while (!what.empty() && (what.back() == '.' || what.back() == '\n')) what.pop_back();
-  std::replace(what.begin(), what.end(), '\n', ' ');
-  if (!commands.empty()) return fmt::format("a command is missing{}", suggestion("", commands, "known are"));
-  return fmt::format("{}; {}", what, help);
 }
 
 int run(int argc, char** argv) {
@@ -254,31 +167,11 @@ int run(int argc, char** argv) {
   c->add_option("species", coat_species, "species name")->required()->type_name("SPECIES");
   c->add_option("-o,--out", coat_out, "folder for summary.json and table.md")->type_name("DIR");
 
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& e) {
-    if (e.get_exit_code() == 0) return app.exit(e);  // --help and --version
-    complain(usage_sentence(app, e));
-    return usage_status;
-  }
-  return status;
+  return parse_and_run(app, argc, argv, status);
 }
 
 }  // namespace
 
 int main(int argc, char** argv) {
-  keep_memory_flat();
-  try {
-    log_to_stderr();
-    stop_on_signal();
-    return run(argc, argv);
-  } catch (const InputError& e) {
-    complain(e.what());
-    return usage_status;
-  } catch (const std::bad_alloc&) {
-    complain("there is not enough memory; use fewer --threads or a smaller --resolution");
-  } catch (const std::exception& e) {
-    complain(e.what());
-  }
-  return failed_status;
+  return run_program("moomill", "use fewer --threads or a smaller --resolution", [&] { return run(argc, argv); });
 }

@@ -451,6 +451,12 @@ Batch SampleSource::batch(const SampleOptions& o, int epoch, int index) const {
   return out;
 }
 
+std::vector<int> coats_of_dataset(const fs::path& dataset) {
+  std::vector<int> coats;
+  for (const auto& [index, name] : read_dataset_source(dataset).coats) coats.push_back(index);
+  return coats;
+}
+
 torch::Tensor make_encoder_image(const torch::Tensor& color, const torch::Tensor& mask, const torch::Tensor& nnopcs, int width,
                                  int height) {
   check(color.defined() && color.dim() == 3 && color.size(0) == 3, "a picture for the encoder is [3, h, w]");

@@ -109,6 +109,9 @@ class Prefetcher {
   std::unique_ptr<State> state_;
 };
 
+// Indices of all coats a dataset holds, ascending.
+std::vector<int> coats_of_dataset(const std::filesystem::path& dataset);
+
 // Pictures to encoder input outside a dataset (a photo with mask): masks, resizes by area, stacks. color [3, h, w], mask [h, w],
 // nnopcs [3, h, w] or undefined.
 torch::Tensor make_encoder_image(const torch::Tensor& color, const torch::Tensor& mask, const torch::Tensor& nnopcs, int width,

@@ -1,0 +1,234 @@
+#include "neural/training.h"
+
+#include "generator/core/error.h"
+#include "generator/core/random.h"
+#include "neural/training_loop.h"
+
+namespace moomill {
+namespace {
+
+using torch::Tensor;
+namespace F = torch::nn::functional;
+
+constexpr double tiny = 1e-12;  // under square roots, whose slope is infinite at 0
+
+// Validation draws the same batches every time.
+SampleOptions for_validation(SampleOptions samples, int views_per_frame) {
+  samples.split = Split::validate;
+  samples.keypoint_noise_m = 0;
+  samples.turn_cameras = false;
+  samples.views_per_frame = views_per_frame;
+  return samples;
+}
+
+void check_source(const SampleSource& source, const ModelConfig& model, const char* what) {
+  if (source.keypoint_count() != model.keypoints)
+    input_error("{}: the dataset has {} keypoints, the {} {}; set [model] keypoints = {}", source.describe(), source.keypoint_count(),
+                what, model.keypoints, source.keypoint_count());
+  if (model.nnopcs && !source.has_nnopcs())
+    input_error("{}: the dataset has no NNOPCS; make it with that modality, or set [model] nnopcs = false", source.describe());
+}
+
+CameraBatch camera_of(const Batch& batch) {
+  return {batch.world_to_camera, batch.keypoints_2d};
+}
+
+Batch rows_of(const Batch& b, std::int64_t from, std::int64_t to) {
+  Batch part;
+  part.views.assign(b.views.begin() + from, b.views.begin() + to);
+  for (Tensor Batch::*field : {&Batch::keypoints, &Batch::noisy_keypoints, &Batch::keypoints_2d, &Batch::world_to_camera,
+                               &Batch::near_depth, &Batch::depth_range, &Batch::silhouette_points, &Batch::silhouette,
+                               &Batch::surface_points, &Batch::depth, &Batch::nnopcs, &Batch::color, &Batch::images})
+    if ((b.*field).defined()) part.*field = (b.*field).slice(0, from, to);
+  return part;
+}
+
+// Means over validation batches, weighted by their views.
+class Mean {
+ public:
+  void add(std::size_t i, double value, double weight) {
+    if (sums_.size() <= i) sums_.resize(i + 1, 0.0), weights_.resize(i + 1, 0.0);
+    sums_[i] += value * weight, weights_[i] += weight;
+  }
+  double of(std::size_t i) const { return i < sums_.size() && weights_[i] > 0 ? sums_[i] / weights_[i] : NAN; }
+
+ private:
+  std::vector<double> sums_, weights_;
+};
+
+}  // namespace
+
+Tensor GeometryLosses::total() const {
+  const Tensor sum = silhouette + keypoints + depth + code;
+  return nnopcs.defined() ? sum + nnopcs : sum;
+}
+
+GeometryLosses geometry_losses(GeometryNetwork& network, const Batch& batch, const GeometryTraining& w) {
+  const ModelConfig& model = network->config();
+  const Pose3d pose = network->encode(batch.noisy_keypoints);
+  const ViewFeatures view = network->view(pose, camera_of(batch));
+  const auto s = batch.silhouette_points.size(1);
+  const Tensor features = network->attend(view, torch::cat({batch.silhouette_points, batch.surface_points}, 1));
+  const Tensor outline = features.slice(1, 0, s), surface = features.slice(1, s);
+  GeometryLosses l;
+  l.silhouette = w.silhouette_weight * torch::binary_cross_entropy_with_logits(network->silhouette(outline), batch.silhouette);
+  const Tensor offset = pose.keypoints - batch.keypoints / (2 * model.reader_radius);
+  l.keypoints = w.keypoint_weight * (offset.square().sum(2) + tiny).sqrt().mean();
+  const Tensor depth_error = network->depth(surface) - batch.depth;
+  l.depth = w.depth_weight *
+            (w.squared_depth ? depth_error.square().mean() : (depth_error.square().sum(1) + tiny).sqrt().mean());
+  l.code = w.code_weight * (pose.code.square().sum(1) + tiny).sqrt().mean();
+  if (model.nnopcs) l.nnopcs = w.nnopcs_weight * (network->nnopcs(surface) - batch.nnopcs).square().mean();
+  return l;
+}
+
+TextureLosses texture_losses(GeometryNetwork& geometry, TextureNetwork& texture, const Batch& batch, const TextureTraining& w,
+                             const Tensor& noise) {
+  Pose3d pose;
+  {
+    torch::NoGradGuard frozen;
+    pose = geometry->encode(batch.noisy_keypoints);
+  }
+  const TextureCode code = texture->encode(batch.images);
+  const Tensor logvar = code.logvar.clamp(least_logvar, greatest_logvar);
+  const Tensor drawn = noise.defined() ? code.mean + noise * (logvar / 2).exp() : code.mean;
+  const ViewFeatures view = texture->view(drawn, pose, camera_of(batch));
+  TextureLosses l;
+  l.color = w.color_weight * (texture->color(view, batch.surface_points) - batch.color).square().mean();
+  l.divergence = w.divergence_weight * (-0.5 * (1 + logvar - code.mean.square() - logvar.exp()).sum());
+  return l;
+}
+
+TrainingEnd train_geometry(const SampleSource& source, const NetepuConfig& config, const std::filesystem::path& out,
+                           const TrainingControl& control) {
+  const GeometryTraining& g = config.geometry;
+  check_source(source, config.model, "model");
+  torch::manual_seed(config.seed);
+  Model model;
+  model.config = config;
+  model.geometry = GeometryNetwork(config.model);
+  model.geometry->evaluation = control.evaluation;
+  Stage stage;
+  stage.name = "geometry";
+  stage.module = model.geometry.get();
+  stage.groups = model.geometry->clip_groups();
+  stage.optimiser = g.optimiser;
+  stage.epochs = g.epochs, stage.validate_every = g.validate_every;
+  stage.samples.seed = config.seed;
+  stage.samples.batch = g.batch, stage.samples.views_per_frame = g.views_per_frame;
+  stage.samples.silhouette_points = g.silhouette_points, stage.samples.surface_points = g.surface_points;
+  stage.samples.near_sigma = g.near_sigma, stage.samples.far_sigma = g.far_sigma;
+  stage.samples.keypoint_noise_m = g.keypoint_noise_m, stage.samples.turn_cameras = g.turn_cameras;
+  stage.samples.nnopcs = config.model.nnopcs;
+  stage.accumulate = [&](const Batch& batch, std::int64_t) {
+    const GeometryLosses l = geometry_losses(model.geometry, batch, g);
+    l.total().backward();
+    Scalars terms{{"silhouette", l.silhouette.item<double>()},
+                  {"keypoints", l.keypoints.item<double>()},
+                  {"depth", l.depth.item<double>()},
+                  {"code", l.code.item<double>()}};
+    if (l.nnopcs.defined()) terms.emplace_back("nnopcs", l.nnopcs.item<double>());
+    return terms;
+  };
+  const SampleOptions validation = for_validation(stage.samples, 4);
+  stage.validate = [&]() -> Scalars {
+    Mean mean;
+    for (int i = 0; i < source.batches_per_epoch(validation); ++i) {
+      const Batch b = source.batch(validation, 0, i);
+      const auto n = static_cast<double>(b.views.size());
+      const Pose3d pose = model.geometry->encode(b.keypoints);
+      const ViewFeatures view = model.geometry->view(pose, camera_of(b));
+      const Tensor outline = model.geometry->attend(view, b.silhouette_points), surface = model.geometry->attend(view, b.surface_points);
+      const GeometryLosses l = geometry_losses(model.geometry, b, g);
+      mean.add(0, l.total().item<double>(), n);
+      // Depth in millimetres: predicted in the range of the decoded keypoints, held against the true one.
+      const Tensor z = view.near_depth.unsqueeze(1) + model.geometry->depth(surface) * view.depth_range.unsqueeze(1);
+      const Tensor truth = b.near_depth.unsqueeze(1) + b.depth * b.depth_range.unsqueeze(1);
+      mean.add(1, 1e3 * (z - truth).abs().mean().item<double>(), n);
+      mean.add(2, ((model.geometry->silhouette(outline) > 0) != (b.silhouette > 0.5)).to(torch::kFloat).mean().item<double>(), n);
+      const Tensor offset = pose.keypoints * (2 * config.model.reader_radius) - b.keypoints;
+      mean.add(3, 1e3 * offset.square().sum(2).sqrt().mean().item<double>(), n);
+      if (config.model.nnopcs) mean.add(4, (model.geometry->nnopcs(surface) - b.nnopcs).square().mean().item<double>(), n);
+    }
+    Scalars figures{{"loss", mean.of(0)},
+                    {"depth MAE, mm", mean.of(1)},
+                    {"wrong silhouette points", mean.of(2)},
+                    {"keypoint error, mm", mean.of(3)}};
+    if (config.model.nnopcs) figures.emplace_back("NNOPCS MSE", mean.of(4));
+    return figures;
+  };
+  stage.save_best = [&](const std::filesystem::path& file, const nlohmann::json& provenance) {
+    model.provenance = {{"geometry", provenance}};
+    save_model(file, model, false);
+  };
+  return run_training(source, config, stage, out, control);
+}
+
+TrainingEnd train_texture(const SampleSource& source, const NetepuConfig& config, const std::filesystem::path& geometry_model,
+                          const std::filesystem::path& out, const TrainingControl& control) {
+  const TextureTraining& t = config.texture;
+  Model model = load_model(geometry_model);
+  if (!(model.config.model == config.model))
+    input_error("{}: its [model] is not that of the configuration; train the geometry with this configuration, or use the one it was "
+                "trained with",
+                geometry_model.string());
+  check_source(source, config.model, "geometry model");
+  torch::manual_seed(config.seed + 1);
+  model.config.texture = t;
+  model.coat_names = source.coat_names();
+  model.texture = TextureNetwork(config.model);
+  model.geometry->evaluation = model.texture->evaluation = control.evaluation;
+  model.geometry->eval();
+  Stage stage;
+  stage.name = "texture";
+  stage.module = model.texture.get();
+  stage.groups = model.texture->clip_groups();
+  stage.optimiser = t.optimiser;
+  stage.epochs = t.epochs, stage.validate_every = t.validate_every;
+  stage.samples.seed = hash_identity({config.seed, hash_text("texture")});
+  stage.samples.batch = t.batch, stage.samples.views_per_frame = t.views_per_frame;
+  stage.samples.surface_points = t.surface_points;
+  stage.samples.keypoint_noise_m = t.keypoint_noise_m, stage.samples.turn_cameras = t.turn_cameras;
+  stage.samples.color = true, stage.samples.nnopcs = config.model.nnopcs;
+  stage.samples.encoder_width = t.encoder_width, stage.samples.encoder_height = t.encoder_height;
+  stage.accumulate = [&](const Batch& batch, std::int64_t step) {
+    const auto b = static_cast<std::int64_t>(batch.views.size());
+    const std::int64_t part = t.micro_batch > 0 ? t.micro_batch : b;
+    double color = 0, divergence = 0;
+    for (std::int64_t from = 0; from < b; from += part) {
+      const std::int64_t to = std::min(b, from + part);
+      const Batch rows = rows_of(batch, from, to);
+      const Tensor noise = keyed_normal(hash_identity({config.seed, hash_text("code noise"), static_cast<std::uint64_t>(step),
+                                                       static_cast<std::uint64_t>(from)}),
+                                        {to - from, config.model.global_features});
+      const TextureLosses l = texture_losses(model.geometry, model.texture, rows, t, noise);
+      const double share = static_cast<double>(to - from) / static_cast<double>(b);  // the colour term is a mean over views
+      (l.color * share + l.divergence).backward();
+      color += share * l.color.item<double>(), divergence += l.divergence.item<double>();
+    }
+    return Scalars{{"color", color}, {"divergence", divergence}};
+  };
+  const SampleOptions validation = for_validation(stage.samples, 4);
+  stage.validate = [&]() -> Scalars {
+    Mean mean;
+    for (int i = 0; i < source.batches_per_epoch(validation); ++i) {
+      const Batch b = source.batch(validation, 0, i);
+      const auto n = static_cast<double>(b.views.size());
+      const TextureCode code = model.texture->encode(b.images);
+      const ViewFeatures view = model.texture->view(code.mean, model.geometry->encode(b.keypoints), camera_of(b));
+      const Tensor error = (model.texture->color(view, b.surface_points).clamp(0, 1) - b.color).square().mean({1, 2});
+      mean.add(0, error.mean().item<double>(), n);
+      mean.add(1, (-10 * (error + 1e-10).log10()).mean().item<double>(), n);
+      const Tensor flat = (b.color - b.color.mean(1, true)).square().mean({1, 2});
+      mean.add(2, (-10 * (flat + 1e-10).log10()).mean().item<double>(), n);
+    }
+    return {{"color MSE", mean.of(0)}, {"PSNR in the mask, dB", mean.of(1)}, {"PSNR above the mean colour, dB", mean.of(1) - mean.of(2)}};
+  };
+  stage.save_best = [&](const std::filesystem::path& file, const nlohmann::json& provenance) {
+    model.provenance["texture"] = provenance;
+    save_model(file, model, false);
+  };
+  return run_training(source, config, stage, out, control);
+}
+
+}  // namespace moomill
