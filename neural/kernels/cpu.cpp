@@ -1,6 +1,14 @@
 #include "neural/kernels/cpu.h"
 
+#include <atomic>
+
 namespace moomill {
+
+namespace {
+
+std::atomic<InstructionSet> most_allowed{InstructionSet::avx512};
+
+}  // namespace
 
 InstructionSet best_instruction_set() {
   static const bool avx512 = __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
@@ -9,7 +17,15 @@ InstructionSet best_instruction_set() {
 }
 
 bool cpu_has_bfloat16() {
-  return best_instruction_set() == InstructionSet::avx512 && __builtin_cpu_supports("avx512bf16");
+  return used_instruction_set() == InstructionSet::avx512 && __builtin_cpu_supports("avx512bf16");
+}
+
+InstructionSet used_instruction_set() {
+  return most_allowed == InstructionSet::avx2 ? InstructionSet::avx2 : best_instruction_set();
+}
+
+void limit_instruction_set(InstructionSet most) {
+  most_allowed = most;
 }
 
 }  // namespace moomill

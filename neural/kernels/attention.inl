@@ -1,0 +1,254 @@
+// Implementation of attention.h for the vectors S of one instruction set. Included only by files compiled for it; see
+// vector.h.
+#include "neural/kernels/attention.h"
+#include "neural/kernels/position_code.h"
+#include "neural/kernels/product.h"
+
+namespace moomill {
+namespace {
+
+// About this many pairs of query and key are worked on at once: the three buffers of a tile stay in the L2 cache (in L1
+// for d = 64), and products over pairs are long enough to pay for loading and storing their sums.
+constexpr int tile_pairs = 128;
+
+template <class S>
+struct Attention {
+  using T = typename S::Scalar;
+  using Arguments = AttentionArguments<T>;
+  using Gradients = AttentionGradients<T>;
+
+  static int pairs_per_query(const Arguments& a) { return a.neighbours + (a.has_extra ? 1 : 0); }
+
+  static int tile_queries(const Arguments& a) {
+    const int fit = tile_pairs / pairs_per_query(a);
+    return fit > 1 ? fit : 1;
+  }
+
+  // Buffers of a tile and what its pairs refer to. Pairs of one query are consecutive, the extra key is the last.
+  struct Tile {
+    int queries = 0, pairs = 0;
+    std::ptrdiff_t ld = 0, code_stride = 0;
+    T* code = nullptr;                                        // [11 D, pairs]
+    T *hidden = nullptr, *logit = nullptr, *value = nullptr;  // [pairs, d]
+    T *code_gradient = nullptr, *difference_gradient = nullptr;
+    const T **query_row = nullptr, **key_row = nullptr, **value_row = nullptr;
+    int* key_index = nullptr;  // of each pair; -1 for the extra key
+  };
+
+  static Tile lay_out(const Arguments& a, char*& at) {
+    const std::size_t most = std::size_t(tile_queries(a)) * pairs_per_query(a), padded = (most + 15) / 16 * 16;
+    Tile tile;
+    tile.ld = padded_row(a.channels);
+    tile.code_stride = padded;
+    tile.code = take<T>(at, code_rows(a.components) * padded);
+    tile.hidden = take<T>(at, most * tile.ld);
+    tile.logit = take<T>(at, most * tile.ld);
+    tile.value = take<T>(at, most * tile.ld);
+    tile.code_gradient = take<T>(at, most * code_columns(a.components));
+    tile.difference_gradient = take<T>(at, most * a.components);
+    tile.query_row = take<const T*>(at, most);
+    tile.key_row = take<const T*>(at, most);
+    tile.value_row = take<const T*>(at, most);
+    tile.key_index = take<int>(at, most);
+    return tile;
+  }
+
+  static std::size_t workspace(const Arguments& a) {
+    char* const start = nullptr;
+    char* at = start;
+    lay_out(a, at);
+    return std::size_t(at - start);
+  }
+
+  struct Hidden {  // relu(query - key + sum); NaN stays NaN
+    const Tile& tile;
+    MOOMILL_INLINE void operator()(int row, int column, typename S::Vector sum) const {
+      const auto x = S::load(tile.query_row[row] + column) - S::load(tile.key_row[row] + column) + sum;
+      S::store(tile.hidden + row * tile.ld + column, S::max(S::all(0), x));
+    }
+  };
+  struct Value {
+    const Tile& tile;
+    MOOMILL_INLINE void operator()(int row, int column, typename S::Vector sum) const {
+      S::store(tile.value + row * tile.ld + column, S::load(tile.value_row[row] + column) + sum);
+    }
+  };
+  struct HiddenGradient {  // takes the place of hidden
+    const Tile& tile;
+    MOOMILL_INLINE void operator()(int row, int column, typename S::Vector sum) const {
+      T* place = tile.hidden + row * tile.ld + column;
+      S::store(place, S::where_positive(S::load(place), sum));
+    }
+  };
+
+  // Fills in code, hidden, logit and value for queries [begin, begin + tile.queries).
+  static void prepare(const Arguments& a, std::int64_t begin, int queries, Tile& tile) {
+    const int per_query = pairs_per_query(a), d = a.channels, components = a.components;
+    tile.queries = queries;
+    tile.pairs = queries * per_query;
+    int pair = 0;
+    for (int t = 0; t < queries; ++t) {
+      const std::int64_t query = begin + t;
+      const T* query_row = a.query + (a.shared_query ? 0 : query * d);
+      for (int j = 0; j < per_query; ++j, ++pair) {
+        const bool extra = j == a.neighbours;
+        const int key = extra ? -1 : a.neighbour ? a.neighbour[query * a.neighbours + j] : j;
+        tile.key_index[pair] = key;
+        tile.query_row[pair] = query_row;
+        tile.key_row[pair] = extra ? a.extra_key : a.key + std::ptrdiff_t(key) * d;
+        tile.value_row[pair] = extra ? a.extra_value : a.value + std::ptrdiff_t(key) * d;
+        for (int c = 0; c < components; ++c)
+          tile.code[c * tile.code_stride + pair] =
+              extra ? T(0)
+                    : a.query_position[query * components + c] - a.key_position[std::ptrdiff_t(key) * components + c];
+      }
+    }
+    const int padded = (tile.pairs + S::width - 1) / S::width * S::width;
+    for (; pair < padded; ++pair)
+      for (int c = 0; c < components; ++c) tile.code[c * tile.code_stride + pair] = 0;
+    position_code<S>(components, padded, tile.code, tile.code_stride);
+    if (a.has_extra)
+      for (int row = 0; row < code_rows(components); ++row)
+        for (int t = 0; t < queries; ++t) tile.code[row * tile.code_stride + t * per_query + a.neighbours] = 0;
+
+    const int rows = code_rows(components);
+    product<S>(tile.pairs, d, rows, tile.code, 1, tile.code_stride, a.logit_code, d, Hidden{tile});
+    product<S>(tile.pairs, d, d, tile.hidden, tile.ld, 1, a.mix_transposed, tile.ld, Store<S>{tile.logit, tile.ld});
+    product<S>(tile.pairs, d, rows, tile.code, 1, tile.code_stride, a.value_code, d, Value{tile});
+  }
+
+  // The greatest of count logits, ld apart, times log2 e.
+  static MOOMILL_INLINE typename S::Vector greatest(const T* logit, int count, std::ptrdiff_t ld) {
+    auto most = S::load(logit);
+    for (int j = 1; j < count; ++j) most = S::max(most, S::load(logit + j * ld));
+    return most * S::all(T(log2_e));
+  }
+  static constexpr double log2_e = 1.4426950408889634;
+
+  // A NaN among the logits may be lost in the maximum, but not in its own exponential, and so not in the sum.
+  static void soften(const Arguments& a, const Tile& tile, T* out) {
+    const int count = pairs_per_query(a);
+    for (int t = 0; t < tile.queries; ++t)
+      for (int c = 0; c < a.channels; c += S::width) {
+        const T *logit = tile.logit + t * count * tile.ld + c, *value = tile.value + t * count * tile.ld + c;
+        const auto most = greatest(logit, count, tile.ld);
+        auto sum = S::all(0), weighted = S::all(0);
+        for (int j = 0; j < count; ++j) {
+          const auto e = exp2_of_negative<S>(S::load(logit + j * tile.ld) * S::all(T(log2_e)) - most);
+          sum = sum + e;
+          weighted = S::fma(e, S::load(value + j * tile.ld), weighted);
+        }
+        S::store(out + std::ptrdiff_t(t) * a.channels + c, weighted / sum);
+      }
+  }
+
+  static void forward(const Arguments& a, std::int64_t begin, std::int64_t end, T* out, void* memory) {
+    char* at = static_cast<char*>(memory);
+    Tile tile = lay_out(a, at);
+    const int step = tile_queries(a);
+    for (std::int64_t query = begin; query < end; query += step) {
+      prepare(a, query, int(end - query < step ? end - query : step), tile);
+      soften(a, tile, out + query * a.channels);
+    }
+  }
+
+  // From the gradient of out: logit and value become their own gradients.
+  static void soften_backward(const Arguments& a, Tile& tile, const T* out_gradient) {
+    const int count = pairs_per_query(a);
+    for (int t = 0; t < tile.queries; ++t)
+      for (int c = 0; c < a.channels; c += S::width) {
+        T *logit = tile.logit + t * count * tile.ld + c, *value = tile.value + t * count * tile.ld + c;
+        const auto most = greatest(logit, count, tile.ld);
+        auto sum = S::all(0), weighted = S::all(0);
+        for (int j = 0; j < count; ++j) {
+          const auto e = exp2_of_negative<S>(S::load(logit + j * tile.ld) * S::all(T(log2_e)) - most);
+          S::store(logit + j * tile.ld, e);
+          sum = sum + e;
+          weighted = S::fma(e, S::load(value + j * tile.ld), weighted);
+        }
+        const auto out = weighted / sum;
+        const auto scaled = S::load(out_gradient + std::ptrdiff_t(t) * a.channels + c) / sum;
+        for (int j = 0; j < count; ++j) {
+          const auto value_gradient = S::load(logit + j * tile.ld) * scaled;
+          const auto v = S::load(value + j * tile.ld);
+          S::store(value + j * tile.ld, value_gradient);
+          S::store(logit + j * tile.ld, value_gradient * (v - out));
+        }
+      }
+  }
+
+  static MOOMILL_INLINE void add(T* to, const T* from, int count, T factor) {
+    for (int c = 0; c < count; c += S::width)
+      S::store(to + c, S::fma(S::load(from + c), S::all(factor), S::load(to + c)));
+  }
+
+  // Gradients of queries, keys and values from those of the pairs.
+  static void scatter(const Arguments& a, std::int64_t begin, const Tile& tile, const Gradients& gradients) {
+    const int count = pairs_per_query(a), d = a.channels;
+    for (int t = 0; t < tile.queries; ++t) {
+      if (gradients.query) {
+        T* to = gradients.query + (a.shared_query ? 0 : (begin + t) * d);
+        for (int c = 0; c < d; c += S::width) {
+          auto sum = a.shared_query ? S::load(to + c) : S::all(0);
+          for (int j = 0; j < count; ++j) sum = sum + S::load(tile.hidden + (t * count + j) * tile.ld + c);
+          S::store(to + c, sum);
+        }
+      }
+      for (int pair = t * count; pair < (t + 1) * count; ++pair) {
+        const std::ptrdiff_t key = tile.key_index[pair];
+        T* key_gradient = key < 0 ? gradients.extra_key : gradients.key ? gradients.key + key * d : nullptr;
+        T* value_gradient = key < 0 ? gradients.extra_value : gradients.value ? gradients.value + key * d : nullptr;
+        if (key_gradient) add(key_gradient, tile.hidden + pair * tile.ld, d, T(-1));
+        if (value_gradient) add(value_gradient, tile.value + pair * tile.ld, d, T(1));
+      }
+    }
+  }
+
+  static void position_gradients(const Arguments& a, std::int64_t begin, const Tile& tile, const Gradients& gradients) {
+    const int count = pairs_per_query(a), d = a.channels, components = a.components, columns = code_columns(components);
+    product<S>(tile.pairs, columns, d, tile.hidden, tile.ld, 1, a.logit_code_transposed, columns,
+               Store<S>{tile.code_gradient, columns});
+    product<S>(tile.pairs, columns, d, tile.value, tile.ld, 1, a.value_code_transposed, columns,
+               Add<S>{tile.code_gradient, columns});
+    position_code_backward<S>(components, tile.pairs, tile.code, tile.code_stride, tile.code_gradient, columns,
+                              tile.difference_gradient);
+    for (int t = 0; t < tile.queries; ++t)
+      for (int c = 0; c < components; ++c) {
+        T sum = 0;
+        for (int pair = t * count; pair < t * count + a.neighbours; ++pair) {
+          const T g = tile.difference_gradient[pair * components + c];
+          sum += g;
+          if (gradients.key_position)
+            gradients.key_position[std::ptrdiff_t(tile.key_index[pair]) * components + c] -= g;
+        }
+        if (gradients.query_position) gradients.query_position[(begin + t) * components + c] = sum;
+      }
+  }
+
+  static void backward(const Arguments& a, std::int64_t begin, std::int64_t end, const T* out_gradient,
+                       const Gradients& gradients, void* memory) {
+    char* at = static_cast<char*>(memory);
+    Tile tile = lay_out(a, at);
+    const int step = tile_queries(a), d = a.channels, rows = code_rows(a.components);
+    for (std::int64_t query = begin; query < end; query += step) {
+      prepare(a, query, int(end - query < step ? end - query : step), tile);
+      soften_backward(a, tile, out_gradient + query * d);
+      if (gradients.mix)
+        product<S>(d, d, tile.pairs, tile.logit, 1, tile.ld, tile.hidden, tile.ld, Add<S>{gradients.mix, d});
+      product<S>(tile.pairs, d, d, tile.logit, tile.ld, 1, a.mix, tile.ld, HiddenGradient{tile});
+      if (gradients.logit_code)
+        product<S>(rows, d, tile.pairs, tile.code, tile.code_stride, 1, tile.hidden, tile.ld,
+                   Add<S>{gradients.logit_code, d});
+      if (gradients.value_code)
+        product<S>(rows, d, tile.pairs, tile.code, tile.code_stride, 1, tile.value, tile.ld,
+                   Add<S>{gradients.value_code, d});
+      scatter(a, query, tile, gradients);
+      if (gradients.query_position || gradients.key_position) position_gradients(a, query, tile, gradients);
+    }
+  }
+
+  static constexpr AttentionKernels<T> kernels{workspace, forward, backward, tile_queries};
+};
+
+}  // namespace
+}  // namespace moomill

@@ -1,0 +1,8 @@
+#include "neural/kernels/head.inl"
+
+namespace moomill {
+
+const HeadKernels<float> head_avx2 = Head<FloatAvx2>::kernels;
+const HeadKernels<double> head_double = Head<DoubleAvx2>::kernels;
+
+}  // namespace moomill
