@@ -22,10 +22,10 @@ const char* name_of(Split split) {
   return "";
 }
 
-std::vector<ViewId> chosen_views(const SampleSource& source, Split split, int every_frame, int every_camera, int max_views) {
+std::vector<ViewId> chosen_views(const std::vector<int>& frames, const std::vector<int>& cameras, int every_frame, int every_camera,
+                                 int max_views) {
   if (every_frame < 1 || every_camera < 1)
     input_error("every {}-th frame and every {}-th camera cannot be chosen; give steps of 1 or more", every_frame, every_camera);
-  const std::vector<int> frames = source.frames(split), cameras = source.cameras();
   std::vector<ViewId> all;
   for (std::size_t f = 0; f < frames.size(); f += static_cast<std::size_t>(every_frame))
     for (std::size_t c = 0; c < cameras.size(); c += static_cast<std::size_t>(every_camera))
@@ -37,7 +37,7 @@ std::vector<ViewId> chosen_views(const SampleSource& source, Split split, int ev
   return some;
 }
 
-void require_fit(const Model& model, const SampleSource& source, Split split, const std::string& dataset) {
+void require_fit(const Model& model, const SampleSource& source, const std::string& dataset) {
   const ModelConfig& config = model.config.model;
   if (source.keypoint_count() != config.keypoints)
     input_error("{}: has {} keypoints a frame, the model {}; use a model trained on such keypoints", dataset,
@@ -46,8 +46,6 @@ void require_fit(const Model& model, const SampleSource& source, Split split, co
     input_error("{}: has no NNOPCS maps, which the model's figures need; generate it with modality \"nnopcs\", or use a model "
                 "trained with nnopcs = false",
                 dataset);
-  if (source.frames(split).empty())
-    input_error("{}: the {} split has no frames; choose another split or a larger dataset", dataset, name_of(split));
 }
 
 namespace {
@@ -76,10 +74,9 @@ class Evaluator {
 
   EvaluationResult run() {
     const auto start = std::chrono::steady_clock::now();
-    const std::vector<ViewId> views =
-        chosen_views(source_, options_.split, options_.every_frame, options_.every_camera, options_.max_views);
+    const std::vector<ViewId>& views = options_.views;
     result_.dataset = source_.describe();
-    result_.split = name_of(options_.split);
+    result_.split = options_.split;
     if (options_.color) {
       result_.coats = source_.coats();
       result_.coat_names = source_.coat_names();
@@ -244,7 +241,8 @@ class Evaluator {
 }  // namespace
 
 EvaluationResult evaluate(Model& model, const SampleSource& source, const EvaluateOptions& options) {
-  require_fit(model, source, options.split, source.describe());
+  require_fit(model, source, source.describe());
+  check(!options.views.empty(), "there are views to evaluate");
   if (options.color) {
     require_texture(model);
     if (source.coats().empty()) input_error("{}: was opened without coats; name the coats whose colours are evaluated", source.describe());

@@ -14,9 +14,8 @@
 namespace moomill {
 
 struct EvaluateOptions {
-  Split split = Split::test;
-  int every_frame = 1, every_camera = 1;  // every n-th of the split's frames, of the cameras
-  int max_views = 0;                      // frame and camera pairs, spread evenly over the chosen ones; 0: all
+  std::vector<ViewId> views;              // frames and cameras; coats are those of the source
+  std::string split = "test";             // what the views are of, for the reports
   bool color = true;                      // false: geometry only
   bool true_codes = false;                // texture codes from the true mask and NNOPCS instead of the model's own
   int code_camera_shift = 0;              // textures from the picture of the so-many-th next camera of the same frame; 0: of the same view
@@ -58,13 +57,14 @@ struct EvaluationResult {
   std::vector<Image8> coat_pictures;
 };
 
-// InputError when the dataset does not fit the model, or the split is empty.
+// The model and the dataset must fit (require_fit), and there must be views.
 EvaluationResult evaluate(Model& model, const SampleSource& source, const EvaluateOptions& options);
 
-// Views of the split as the options choose them.
-std::vector<ViewId> chosen_views(const SampleSource& source, Split split, int every_frame, int every_camera, int max_views);
-// InputError unless the dataset has the model's keypoints, NNOPCS where the model has, and frames in the split.
-void require_fit(const Model& model, const SampleSource& source, Split split, const std::string& dataset);
+// Every n-th of the frames with every n-th of the cameras; of those max_views, spread evenly (0: all).
+std::vector<ViewId> chosen_views(const std::vector<int>& frames, const std::vector<int>& cameras, int every_frame, int every_camera,
+                                 int max_views);
+// InputError unless the dataset has the model's keypoints, and NNOPCS where the model has.
+void require_fit(const Model& model, const SampleSource& source, const std::string& dataset);
 const char* name_of(Split split);
 
 // What was published for NePuMoo (Waldmann et al., 2024), to stand beside ours.
