@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "generator/core/error.h"
+#include "generator/core/random.h"
 #include "generator/dataset/contact_sheet.h"
 
 namespace moomill {
@@ -33,7 +34,10 @@ std::vector<ViewId> chosen_views(const std::vector<int>& frames, const std::vect
   const auto wanted = static_cast<std::size_t>(std::max(0, max_views));
   if (wanted == 0 || all.size() <= wanted) return all;
   std::vector<ViewId> some;
-  for (std::size_t i = 0; i < wanted; ++i) some.push_back(all[i * all.size() / wanted]);
+  for (std::size_t i = 0; i < wanted; ++i) {  // drawn: even steps would meet the same cameras again and again
+    const std::size_t begin = i * all.size() / wanted, end = (i + 1) * all.size() / wanted;
+    some.push_back(all[begin + hash_identity({i, all.size()}) % (end - begin)]);
+  }
   return some;
 }
 

@@ -60,7 +60,8 @@ struct EvaluationResult {
 // The model and the dataset must fit (require_fit), and there must be views.
 EvaluationResult evaluate(Model& model, const SampleSource& source, const EvaluateOptions& options);
 
-// Every n-th of the frames with every n-th of the cameras; of those max_views, spread evenly (0: all).
+// Every n-th of the frames with every n-th of the cameras; of those max_views, one drawn from each of as many equal
+// shares (0: all).
 std::vector<ViewId> chosen_views(const std::vector<int>& frames, const std::vector<int>& cameras, int every_frame, int every_camera,
                                  int max_views);
 // InputError unless the dataset has the model's keypoints, and NNOPCS where the model has.

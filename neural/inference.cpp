@@ -65,6 +65,9 @@ AnimalView view_animal(GeometryNetwork& geometry, const PosedAnimal& animal, con
   view.camera = camera;
   view.batch = see_keypoints(animal.keypoints, camera);
   view.features = geometry->view(animal.pose, view.batch);
+  const Tensor row = view.batch.world_to_camera[0][2], z = animal.keypoints.matmul(row.slice(0, 0, 3)) + row[3];
+  view.near_depth = z.min().item<float>();
+  view.depth_range = std::max(z.max().item<float>() - view.near_depth, static_cast<float>(minimum_depth_range));
   return view;
 }
 
@@ -74,9 +77,7 @@ PixelBox search_box(const AnimalView& view, const PosedAnimal& animal) {
   // The animal's radius about its keypoints' centre, as large as it gets at the nearest keypoint.
   const Tensor centre = animal.keypoints.mean(0, true);
   const double radius = (animal.keypoints - centre).square().sum(1).sqrt().max().item<double>();
-  const Tensor row = view.batch.world_to_camera[0][2];
-  const double near = (animal.keypoints.matmul(row.slice(0, 0, 3)) + row[3]).min().item<double>();
-  const double pad = 0.25 * radius * std::max(camera.fx, camera.fy) / near + 2;
+  const double pad = 0.25 * radius * std::max(camera.fx, camera.fy) / view.near_depth + 2;
   PixelBox box;
   const auto low = [&](const Tensor& v, int size) {
     return static_cast<int>(std::clamp(std::floor(v.min().item<double>() - pad), 0.0, static_cast<double>(size)));
@@ -134,7 +135,7 @@ ViewMaps render_surface(GeometryNetwork& geometry, const AnimalView& view, const
   const Tensor values = fill_mask(surface, nnopcs ? 4 : 1, mask, options, evaluated);
   ViewMaps maps;
   maps.mask = mask;
-  maps.depth = (values[0] * view.features.depth_range[0] + view.features.near_depth[0]) * mask;
+  maps.depth = (values[0] * view.depth_range + view.near_depth) * mask;
   if (nnopcs) maps.nnopcs = values.slice(0, 1, 4).clamp(0, 1);
   return maps;
 }

@@ -33,6 +33,9 @@ struct AnimalView {
   CameraRecord camera;
   CameraBatch batch;      // of one
   ViewFeatures features;  // of the geometry network
+  // Metres: camera z of the nearest given keypoint, farthest minus nearest. Depth is learnt in units of the given keypoints, and they
+  // are at hand here, so the decoded ones' errors need not enter.
+  float near_depth = 0, depth_range = 0;
 };
 AnimalView view_animal(GeometryNetwork& geometry, const PosedAnimal& animal, const CameraRecord& camera);
 

@@ -52,10 +52,10 @@ class MaskTracer {
  public:
   MaskTracer(const PointFunction& logits, int width, int height, const RefineOptions& options)
       : logits_(logits), width_(width), height_(height), options_(options),
-        known_(static_cast<std::size_t>(width) * height, unknown), filled_(known_.size(), 0), near_(known_.size(), 0) {}
+        known_(static_cast<std::size_t>(width) * height, unknown), filled_(known_.size(), 0), logit_(known_.size(), 0) {}
 
   Tensor run(const PixelBox& box, const std::vector<std::int64_t>& seeds) {
-    int cell = resolved_mask_cell(options_, width_, height_);
+    int cell = first_cell_ = resolved_mask_cell(options_, width_, height_);
     CellGrid active(cell, width_, height_);
     start(active, box);
     for (;; cell /= 2) {
@@ -120,8 +120,7 @@ class MaskTracer {
     const float* value = values.data_ptr<float>();
     for (const std::int64_t i : queue_) {
       known_[static_cast<std::size_t>(i)] = *value > 0;
-      near_[static_cast<std::size_t>(i)] = !(std::abs(*value) >= options_.mask_margin);
-      ++value;
+      logit_[static_cast<std::size_t>(i)] = *value++;
     }
     evaluated += static_cast<std::int64_t>(queue_.size());
     queue_.clear();
@@ -167,8 +166,9 @@ class MaskTracer {
 
   bool tells(int cell, int c, int r) const {
     const std::array<std::size_t, 4> corner = corners(cell, c, r);
+    const double margin = options_.mask_margin * cell / first_cell_;
     for (const std::size_t i : corner)
-      if (near_[i] || known_[i] != known_[corner[0]]) return false;
+      if (!(std::abs(logit_[i]) >= margin) || known_[i] != known_[corner[0]]) return false;
     return true;
   }
 
@@ -179,10 +179,11 @@ class MaskTracer {
   }
 
   const PointFunction& logits_;
-  int width_, height_;
+  int width_, height_, first_cell_ = 1;
   const RefineOptions& options_;
   std::vector<std::int8_t> known_;              // unknown, wanted, or 0 / 1 where evaluated
-  std::vector<std::uint8_t> filled_, near_;
+  std::vector<std::uint8_t> filled_;
+  std::vector<float> logit_;                    // where evaluated
   std::vector<std::int64_t> queue_;             // pixels to evaluate
 };
 
@@ -303,7 +304,7 @@ Tensor fill_mask(const PointFunction& values, int channels, const Tensor& mask, 
   for (std::size_t i = 0; i < count; ++i)
     if (inside[i] && state[i] == open) want(i);
   evaluate();
-  return torch::from_blob(out.data(), {height, width, channels}).permute({2, 0, 1}).contiguous();
+  return torch::from_blob(out.data(), {height, width, channels}).permute({2, 0, 1}).clone(torch::MemoryFormat::Contiguous);
 }
 
 }  // namespace moomill

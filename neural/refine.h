@@ -17,8 +17,8 @@ using PointFunction = std::function<torch::Tensor(const torch::Tensor& points)>;
 struct RefineOptions {
   // Grid of the silhouette in pixels, a power of two; 0: a 64th of the longer side. 1: every pixel of the image.
   int mask_cell = 0;
-  // A cell is refined where its corners differ, or where a logit of one is nearer to zero than this, and so are its eight
-  // neighbours; halved down to single pixels.
+  // A cell is refined where its corners differ, or where a logit of one is nearer to zero than this (half as near for cells half as
+  // large), and so are its eight neighbours; halved down to single pixels.
   double mask_margin = 2;
   // Grid of what is interpolated inside the mask, in pixels, a power of two; 1: every pixel of the mask is evaluated.
   int surface_cell = 1;

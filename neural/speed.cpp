@@ -55,7 +55,7 @@ ViewMaps stand_in_maps(GeometryNetwork& geometry, const AnimalView& view, const 
   };
   const PointFunction surface = [&](const Tensor& p) {
     surface_at(geometry, view, p);
-    const Tensor depth = (sample(truth.depth.unsqueeze(0), p) - view.features.near_depth[0]) / view.features.depth_range[0];
+    const Tensor depth = (sample(truth.depth.unsqueeze(0), p) - view.near_depth) / view.depth_range;
     return truth.nnopcs.defined() && geometry->config().nnopcs ? torch::cat({depth, sample(truth.nnopcs, p)}, 1) : depth;
   };
   ViewMaps maps;
