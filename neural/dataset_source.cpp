@@ -129,6 +129,7 @@ DatasetSource from_manifest(const fs::path& folder) {
   const Manifest& m = d.manifest;
   DatasetSource s;
   s.folder = folder;
+  s.has_records = true;
   s.frames = m.held_frames;
   s.reader_radius = m.reader_radius;
   if (s.frames.empty()) input_error("{}: has no frames; make the dataset anew", manifest);
@@ -313,6 +314,24 @@ std::vector<int> frames_in(const fs::path& folder) {
   return out;
 }
 
+// Without records, sizes and times of the files tell whether they changed.
+std::string stamps_of(const DatasetSource& s, const std::vector<std::string>& templates) {
+  std::string stamps;
+  std::error_code error;
+  for (const std::string& path : templates) {
+    if (path.empty()) continue;
+    for (int frame : s.frames)
+      for (int camera : s.camera_ids) {
+        const fs::path file = s.path(path, frame, camera);
+        const auto bytes = fs::file_size(file, error);
+        if (error) input_error("{}: cannot be read: {}; make the dataset anew", file.string(), error.message());
+        stamps += fmt::format("{} {} {}\n", file.lexically_relative(s.folder).string(), bytes,
+                              fs::last_write_time(file, error).time_since_epoch().count());
+      }
+  }
+  return xxh64_hex(stamps.data(), stamps.size());
+}
+
 DatasetSource from_folders(const fs::path& folder) {
   const Manifest m = manifest_of_folders(folder);
   DatasetSource s;
@@ -352,20 +371,7 @@ DatasetSource from_folders(const fs::path& folder) {
     s.coat_templates.push_back(path);
   }
 
-  // Without records, sizes and times of the files tell whether they changed.
-  std::string stamps;
-  for (const std::string& path : {s.mask_template, s.depth_template, s.nnopcs_template}) {
-    if (path.empty()) continue;
-    for (int frame : s.frames)
-      for (int camera : s.camera_ids) {
-        const fs::path file = s.path(path, frame, camera);
-        const auto bytes = fs::file_size(file, error);
-        if (error) input_error("{}: cannot be read: {}; make the dataset anew", file.string(), error.message());
-        stamps += fmt::format("{} {} {}\n", file.lexically_relative(folder).string(), bytes,
-                              fs::last_write_time(file, error).time_since_epoch().count());
-      }
-  }
-  s.identity = xxh64_hex(stamps.data(), stamps.size());
+  s.identity = stamps_of(s, {s.mask_template, s.depth_template, s.nnopcs_template});
   return s;
 }
 
@@ -378,6 +384,11 @@ int DatasetSource::coat_at(int coat) const {
   for (const auto& [index, name] : coats) there += (there.empty() ? "" : ", ") + std::to_string(index);
   input_error("{}: has no pictures of coat {}; {}", folder.string(), coat,
               there.empty() ? "make it with the modality \"rgb\"" : "its coats are " + there);
+}
+
+std::string coat_identity(const DatasetSource& source, int coat_at) {
+  const std::string& path = source.coat_templates[coat_at];
+  return source.has_records ? path : path + stamps_of(source, {path});
 }
 
 DatasetSource read_dataset_source(const fs::path& given) {

@@ -24,7 +24,8 @@ struct DatasetSource {
   std::string nnopcs_template;              // empty: none
   std::vector<std::string> coat_templates;  // parallel to coats
   double reader_radius = 1.5;               // metres
-  std::string identity;  // changes with whatever determines the pictures; of the manifest and the frames' records, if any
+  bool has_records = false;  // with a manifest; they tell of every picture
+  std::string identity;  // changes with masks, depth and NNOPCS, and, where there are records, with the pictures of the coats
 
   const CameraRecord& camera(int frame_at, int camera_at) const {
     return cameras[cameras.size() == 1 ? 0 : frame_at][camera_at];
@@ -37,6 +38,9 @@ struct DatasetSource {
 
 // InputError, in one sentence, when the folder holds no dataset or lacks masks, depth or keypoints.
 DatasetSource read_dataset_source(const std::filesystem::path& folder);
+
+// Changes with the pictures of a coat, as far as source.identity does not.
+std::string coat_identity(const DatasetSource& source, int coat_at);
 
 // Whether camera (ring, a + 1) sees a world turned by 45 degrees about the Z axis through the origin as camera (ring, a) saw it
 // before, on rings of eight, to a tenth of a millimetre. Says what is wrong, or is empty.

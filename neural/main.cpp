@@ -3,6 +3,10 @@
 #include <CLI/CLI.hpp>
 #include <torch/torch.h>
 
+#include <unistd.h>
+
+#include <cstdlib>
+
 #include "generator/command_line.h"
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
@@ -246,6 +250,17 @@ int run(int argc, char** argv) {
 
 }  // namespace
 
+// Threads that wait must not spin: a step is many short parallel parts, and others (drawing samples, other programs) want the
+// core. OpenMP and OpenBLAS read how to wait when they are loaded, before main(), so the program starts itself once more with it
+// in its environment. OpenBLAS keeps to one thread: what is large runs in the fused operators, and sums stay in one order.
+void start_with_quiet_threads(char** argv) {
+  if (std::getenv("OMP_WAIT_POLICY") && std::getenv("OPENBLAS_NUM_THREADS")) return;
+  setenv("OMP_WAIT_POLICY", "passive", 0);
+  setenv("OPENBLAS_NUM_THREADS", "1", 0);
+  ::execv("/proc/self/exe", argv);  // where that fails, all still works, more slowly
+}
+
 int main(int argc, char** argv) {
+  start_with_quiet_threads(argv);
   return run_program("netepu", "use a smaller batch, or [texture] micro_batch", [&] { return run(argc, argv); });
 }

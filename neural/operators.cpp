@@ -53,6 +53,19 @@ Tensor spread_rows(const Tensor& matrix) {
   return spread;
 }
 
+// [.., k, n] in bfloat16, consecutive pairs along k side by side in the place of a float: [.., k / 2, n], rows spread.
+Tensor pack_pairs(const Tensor& matrix) {
+  auto sizes = matrix.sizes().vec();
+  sizes.insert(sizes.end() - 1, 2);
+  sizes[sizes.size() - 3] /= 2;
+  const Tensor pairs = matrix.detach().to(at::kBFloat16).contiguous().view(sizes).transpose(-1, -2).contiguous();
+  return spread_rows(pairs.view(at::kFloat).squeeze(-1));
+}
+
+Tensor pack(const Tensor& matrix, bool bfloat16) {
+  return bfloat16 ? pack_pairs(matrix) : spread_rows(matrix);
+}
+
 template <class T>
 T* data(const Tensor& tensor) {
   return tensor.defined() ? tensor.data_ptr<T>() : nullptr;
@@ -119,10 +132,10 @@ AttentionArguments<T> of_frame(AttentionArguments<T> a, const variable_list& in,
 }
 
 template <class T>
-Tensor attention_forward(const variable_list& in) {
-  const auto& kernels = attention_kernels<T>();
+Tensor attention_forward(const variable_list& in, bool bfloat16) {
+  const auto& kernels = attention_kernels<T>(bfloat16);
   AttentionArguments<T> a = attention_arguments<T>(in);
-  const Tensor mix_transposed = spread_rows(in[mix].t());
+  const Tensor mix_transposed = pack(in[mix].t(), bfloat16);
   a.mix_transposed = data<T>(mix_transposed);
   const std::int64_t frames = in[key].size(0), queries = in[query_position].size(1);
   Tensor out = at::empty({frames, queries, a.channels}, in[key].options());
@@ -136,10 +149,10 @@ Tensor attention_forward(const variable_list& in) {
 }
 
 template <class T>
-variable_list attention_backward(const variable_list& in, const Tensor& out_gradient) {
-  const auto& kernels = attention_kernels<T>();
+variable_list attention_backward(const variable_list& in, const Tensor& out_gradient, bool bfloat16) {
+  const auto& kernels = attention_kernels<T>(bfloat16);
   AttentionArguments<T> a = attention_arguments<T>(in);
-  const Tensor mix_rows = spread_rows(in[mix]), mix_transposed = spread_rows(in[mix].t());
+  const Tensor mix_rows = pack(in[mix], bfloat16), mix_transposed = pack(in[mix].t(), bfloat16);
   a.mix = data<T>(mix_rows);
   a.mix_transposed = data<T>(mix_transposed);
   const bool of_positions = in[query_position].requires_grad() || in[key_position].requires_grad();
@@ -220,21 +233,26 @@ void drop_placeholders(variable_list& in) {
 }
 
 struct AttentionFunction : torch::autograd::Function<AttentionFunction> {
-  static Tensor forward(AutogradContext* context, Tensor query, Tensor key, Tensor value, Tensor logit_code,
-                        Tensor value_code, Tensor mix, Tensor query_position, Tensor key_position, Tensor neighbours,
-                        Tensor extra_key, Tensor extra_value) {
+  static Tensor forward(AutogradContext* context, bool bfloat16, Tensor query, Tensor key, Tensor value,
+                        Tensor logit_code, Tensor value_code, Tensor mix, Tensor query_position, Tensor key_position,
+                        Tensor neighbours, Tensor extra_key, Tensor extra_value) {
     variable_list in{query,          key,          value,      logit_code, value_code, mix,
                      query_position, key_position, neighbours, extra_key,  extra_value};
     context->save_for_backward(in);
+    context->saved_data["bfloat16"] = bfloat16;
     drop_placeholders(in);
-    return key.scalar_type() == at::kFloat ? attention_forward<float>(in) : attention_forward<double>(in);
+    return key.scalar_type() == at::kFloat ? attention_forward<float>(in, bfloat16)
+                                           : attention_forward<double>(in, false);
   }
   static variable_list backward(AutogradContext* context, variable_list out_gradients) {
     variable_list in = context->get_saved_variables();
     drop_placeholders(in);
     const Tensor gradient = out_gradients[0].contiguous();
-    return gradient.scalar_type() == at::kFloat ? attention_backward<float>(in, gradient)
-                                                : attention_backward<double>(in, gradient);
+    variable_list gradients = gradient.scalar_type() == at::kFloat
+                                  ? attention_backward<float>(in, gradient, context->saved_data["bfloat16"].toBool())
+                                  : attention_backward<double>(in, gradient, false);
+    gradients.insert(gradients.begin(), Tensor());  // of the flag
+    return gradients;
   }
 };
 
@@ -266,7 +284,7 @@ struct PackedHead {
     return data<T>(tensor);
   }
 
-  PackedHead(const variable_list& in, bool backward) {
+  PackedHead(const variable_list& in, bool backward, bool bfloat16) {
     HeadArguments<T>& a = arguments;
     a.features = int(in[features].size(1));
     a.width = int(in[in_weight].size(0));
@@ -274,29 +292,29 @@ struct PackedHead {
     a.outputs = int(in[out_weight].size(0));
     Tensor start = in[in_weight], start_bias = in[in_bias];
     if (a.blocks > 0) start = start + in[feature_weight][0], start_bias = start_bias + in[feature_bias][0];
-    a.in_t = keep(spread_rows(start.t()));
+    a.in_t = keep(pack(start.t(), bfloat16));
     a.in_bias = keep(start_bias);
-    a.feature_t = keep(spread_rows(in[feature_weight].transpose(1, 2)));
+    a.feature_t = keep(pack(in[feature_weight].transpose(1, 2), bfloat16));
     a.feature_bias = keep(in[feature_bias]);
-    a.first_t = keep(spread_rows(in[first_weight].transpose(1, 2)));
+    a.first_t = keep(pack(in[first_weight].transpose(1, 2), bfloat16));
     a.first_bias = keep(in[first_bias]);
-    a.second_t = keep(spread_rows(in[second_weight].transpose(1, 2)));
+    a.second_t = keep(pack(in[second_weight].transpose(1, 2), bfloat16));
     a.second_bias = keep(in[second_bias]);
     a.out_t = keep(at::constant_pad_nd(in[out_weight].t(), {0, head_outputs - a.outputs}).contiguous());
     a.out_bias = keep(at::constant_pad_nd(in[out_bias], {0, head_outputs - a.outputs}).contiguous());
     if (!backward) return;
-    a.in = keep(spread_rows(start));
-    a.feature = keep(spread_rows(in[feature_weight]));
-    a.first = keep(spread_rows(in[first_weight]));
-    a.second = keep(spread_rows(in[second_weight]));
+    a.in = keep(pack(start, bfloat16));
+    a.feature = keep(pack(in[feature_weight], bfloat16));
+    a.first = keep(pack(in[first_weight], bfloat16));
+    a.second = keep(pack(in[second_weight], bfloat16));
     a.out = keep(in[out_weight]);
   }
 };
 
 template <class T>
-Tensor head_forward(const variable_list& in) {
-  const auto& kernels = head_kernels<T>();
-  const PackedHead<T> head(in, false);
+Tensor head_forward(const variable_list& in, bool bfloat16) {
+  const auto& kernels = head_kernels<T>(bfloat16);
+  const PackedHead<T> head(in, false, bfloat16);
   const auto& a = head.arguments;
   const std::int64_t rows = in[features].size(0), chunk = 4 * kernels.tile_rows(a);
   Tensor out = at::empty({rows, a.outputs}, in[features].options());
@@ -307,9 +325,9 @@ Tensor head_forward(const variable_list& in) {
 }
 
 template <class T>
-variable_list head_backward(const variable_list& in, const Tensor& out_gradient) {
-  const auto& kernels = head_kernels<T>();
-  const PackedHead<T> head(in, true);
+variable_list head_backward(const variable_list& in, const Tensor& out_gradient, bool bfloat16) {
+  const auto& kernels = head_kernels<T>(bfloat16);
+  const PackedHead<T> head(in, true, bfloat16);
   const auto& a = head.arguments;
   const std::int64_t rows = in[features].size(0), step = kernels.tile_rows(a), tiles = (rows + step - 1) / step;
   const std::int64_t parts = std::min(tiles, most_parts);
@@ -361,19 +379,23 @@ variable_list head_backward(const variable_list& in, const Tensor& out_gradient)
 }
 
 struct HeadFunction : torch::autograd::Function<HeadFunction> {
-  static Tensor forward(AutogradContext* context, Tensor features, Tensor in_weight, Tensor in_bias,
+  static Tensor forward(AutogradContext* context, bool bfloat16, Tensor features, Tensor in_weight, Tensor in_bias,
                         Tensor feature_weight, Tensor feature_bias, Tensor first_weight, Tensor first_bias,
                         Tensor second_weight, Tensor second_bias, Tensor out_weight, Tensor out_bias) {
     const variable_list in{features,   in_weight,     in_bias,     feature_weight, feature_bias, first_weight,
                            first_bias, second_weight, second_bias, out_weight,     out_bias};
     context->save_for_backward(in);
-    return features.scalar_type() == at::kFloat ? head_forward<float>(in) : head_forward<double>(in);
+    context->saved_data["bfloat16"] = bfloat16;
+    return features.scalar_type() == at::kFloat ? head_forward<float>(in, bfloat16) : head_forward<double>(in, false);
   }
   static variable_list backward(AutogradContext* context, variable_list out_gradients) {
     const variable_list in = context->get_saved_variables();
     const Tensor gradient = out_gradients[0].contiguous();
-    return gradient.scalar_type() == at::kFloat ? head_backward<float>(in, gradient)
-                                                : head_backward<double>(in, gradient);
+    variable_list gradients = gradient.scalar_type() == at::kFloat
+                                  ? head_backward<float>(in, gradient, context->saved_data["bfloat16"].toBool())
+                                  : head_backward<double>(in, gradient, false);
+    gradients.insert(gradients.begin(), Tensor());  // of the flag
+    return gradients;
   }
 };
 
@@ -460,10 +482,10 @@ Tensor fused_attention(const AttentionTerms& terms, Precision precision) {
     return tensor.defined() ? pad_channels(tensor, more).contiguous() : or_placeholder(tensor, terms.key);
   };
   const Tensor out = AttentionFunction::apply(
-      padded(terms.query), padded(terms.key), padded(terms.value), padded(terms.logit_code), padded(terms.value_code),
-      pad_channels(terms.mix, more, true).contiguous(), terms.query_position.contiguous(),
-      terms.key_position.contiguous(), or_placeholder(terms.neighbours, terms.key).contiguous(),
-      padded(terms.extra_key), padded(terms.extra_value));
+      precision == Precision::bfloat16, padded(terms.query), padded(terms.key), padded(terms.value),
+      padded(terms.logit_code), padded(terms.value_code), pad_channels(terms.mix, more, true).contiguous(),
+      terms.query_position.contiguous(), terms.key_position.contiguous(),
+      or_placeholder(terms.neighbours, terms.key).contiguous(), padded(terms.extra_key), padded(terms.extra_value));
   return more ? out.narrow(2, 0, d) : out;
 }
 
@@ -497,12 +519,12 @@ Tensor fused_head(const Tensor& features, const HeadWeights& weights, Precision 
                                            : at::constant_pad_nd(tensor, {0, columns, 0, rows}))
         .contiguous();
   };
-  return HeadFunction::apply(padded(features, more_d, 0), padded(weights.in_weight, more_d, more_h),
-                             padded(weights.in_bias, more_h, 0), padded(weights.feature_weight, more_d, more_h),
-                             padded(weights.feature_bias, more_h, 0), padded(weights.first_weight, more_h, more_h),
-                             padded(weights.first_bias, more_h, 0), padded(weights.second_weight, more_h, more_h),
-                             padded(weights.second_bias, more_h, 0), padded(weights.out_weight, more_h, 0),
-                             weights.out_bias.contiguous());
+  return HeadFunction::apply(precision == Precision::bfloat16, padded(features, more_d, 0),
+                             padded(weights.in_weight, more_d, more_h), padded(weights.in_bias, more_h, 0),
+                             padded(weights.feature_weight, more_d, more_h), padded(weights.feature_bias, more_h, 0),
+                             padded(weights.first_weight, more_h, more_h), padded(weights.first_bias, more_h, 0),
+                             padded(weights.second_weight, more_h, more_h), padded(weights.second_bias, more_h, 0),
+                             padded(weights.out_weight, more_h, 0), weights.out_bias.contiguous());
 }
 
 Tensor nearest_keys(const Tensor& query_position, const Tensor& key_position, int n) {

@@ -358,7 +358,7 @@ PackedCoat::PackedCoat(const DatasetSource& s, const PackedGeometry& geometry, i
   const fs::path file = folder / fmt::format("coat_{:03}.pack", coat);
   const std::size_t views = geometry.views();
   const std::uint64_t pixels = geometry.first(views);
-  const std::uint64_t identity = hash_identity({geometry.identity(), hash_text(s.coat_templates[at])});
+  const std::uint64_t identity = hash_identity({geometry.identity(), hash_text(coat_identity(s, at))});
   const auto open = [&] {
     map_ = MappedFile(file);
     Header h;

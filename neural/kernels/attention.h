@@ -23,7 +23,8 @@ struct AttentionArguments {
   bool shared_query = false;
   // Of all frames.
   const T *logit_code = nullptr, *value_code = nullptr;  // [11 D, d]
-  const T *mix = nullptr, *mix_transposed = nullptr;     // [d, padded(d)]: rows padded_row(d) apart
+  const T *mix = nullptr,
+          *mix_transposed = nullptr;  // [d, d], rows padded_row(d) apart; for bfloat16 packed, see format.h
   const T *logit_code_transposed = nullptr,
           *value_code_transposed = nullptr;  // [d, code_columns(D)], only for position gradients
   // Of this frame.
@@ -58,11 +59,12 @@ struct AttentionKernels {
   int (*tile_queries)(const AttentionArguments<T>&);  // queries a tile holds
 };
 
-// For the instruction set in use; float and double.
+// For the instruction set in use; float and double. bfloat16: float with the products with the mix in bfloat16, for
+// processors that have it.
 template <class T>
-const AttentionKernels<T>& attention_kernels();
+const AttentionKernels<T>& attention_kernels(bool bfloat16);
 
-extern const AttentionKernels<float> attention_avx2, attention_avx512;
+extern const AttentionKernels<float> attention_avx2, attention_avx512, attention_bfloat16;
 extern const AttentionKernels<double> attention_double;
 
 }  // namespace moomill

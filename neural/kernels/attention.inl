@@ -1,6 +1,7 @@
-// Implementation of attention.h for the vectors S of one instruction set. Included only by files compiled for it; see
-// vector.h.
+// Implementation of attention.h; Format: of the numbers in the products with the mix. Included only by files compiled
+// for it; see vector.h.
 #include "neural/kernels/attention.h"
+#include "neural/kernels/format.h"
 #include "neural/kernels/position_code.h"
 #include "neural/kernels/product.h"
 
@@ -11,9 +12,11 @@ namespace {
 // for d = 64), and products over pairs are long enough to pay for loading and storing their sums.
 constexpr int tile_pairs = 128;
 
-template <class S>
+template <class Format>
 struct Attention {
-  using T = typename S::Scalar;
+  using S = typename Format::S;
+  using T = typename Format::T;
+  using Element = typename Format::Element;
   using Arguments = AttentionArguments<T>;
   using Gradients = AttentionGradients<T>;
 
@@ -28,8 +31,12 @@ struct Attention {
   struct Tile {
     int queries = 0, pairs = 0;
     std::ptrdiff_t ld = 0, code_stride = 0;
-    T* code = nullptr;                                        // [11 D, pairs]
-    T *hidden = nullptr, *logit = nullptr, *value = nullptr;  // [pairs, d]
+    T* code = nullptr;          // [11 D, pairs]
+    Element* hidden = nullptr;  // [pairs, d] as the three after it
+    T *logit = nullptr, *value = nullptr;
+    Element* logit_gradient = nullptr;  // may take the place of logit
+    T* hidden_gradient = nullptr;       // may take the place of hidden
+    void *hidden_columns = nullptr, *logit_columns = nullptr;
     T *code_gradient = nullptr, *difference_gradient = nullptr;
     const T **query_row = nullptr, **key_row = nullptr, **value_row = nullptr;
     int* key_index = nullptr;  // of each pair; -1 for the extra key
@@ -41,9 +48,18 @@ struct Attention {
     tile.ld = padded_row(a.channels);
     tile.code_stride = padded;
     tile.code = take<T>(at, code_rows(a.components) * padded);
-    tile.hidden = take<T>(at, most * tile.ld);
+    tile.hidden = take<Element>(at, most * tile.ld);
     tile.logit = take<T>(at, most * tile.ld);
     tile.value = take<T>(at, most * tile.ld);
+    if constexpr (Format::half) {
+      tile.logit_gradient = take<Element>(at, most * tile.ld);
+      tile.hidden_gradient = take<T>(at, most * tile.ld);
+      tile.hidden_columns = take<char>(at, Format::columns_bytes(int(most), a.channels));
+      tile.logit_columns = take<char>(at, Format::columns_bytes(int(most), a.channels));
+    } else {
+      tile.logit_gradient = tile.logit;
+      tile.hidden_gradient = tile.hidden;
+    }
     tile.code_gradient = take<T>(at, most * code_columns(a.components));
     tile.difference_gradient = take<T>(at, most * a.components);
     tile.query_row = take<const T*>(at, most);
@@ -64,7 +80,7 @@ struct Attention {
     const Tile& tile;
     MOOMILL_INLINE void operator()(int row, int column, typename S::Vector sum) const {
       const auto x = S::load(tile.query_row[row] + column) - S::load(tile.key_row[row] + column) + sum;
-      S::store(tile.hidden + row * tile.ld + column, S::max(S::all(0), x));
+      Format::store(tile.hidden + row * tile.ld + column, S::max(S::all(0), x));
     }
   };
   struct Value {
@@ -73,11 +89,11 @@ struct Attention {
       S::store(tile.value + row * tile.ld + column, S::load(tile.value_row[row] + column) + sum);
     }
   };
-  struct HiddenGradient {  // takes the place of hidden
+  struct HiddenGradient {
     const Tile& tile;
     MOOMILL_INLINE void operator()(int row, int column, typename S::Vector sum) const {
-      T* place = tile.hidden + row * tile.ld + column;
-      S::store(place, S::where_positive(S::load(place), sum));
+      const std::ptrdiff_t place = row * tile.ld + column;
+      S::store(tile.hidden_gradient + place, Format::where_positive(tile.hidden + place, sum));
     }
   };
 
@@ -113,7 +129,8 @@ struct Attention {
 
     const int rows = code_rows(components);
     product<S>(tile.pairs, d, rows, tile.code, 1, tile.code_stride, a.logit_code, d, Hidden{tile});
-    product<S>(tile.pairs, d, d, tile.hidden, tile.ld, 1, a.mix_transposed, tile.ld, Store<S>{tile.logit, tile.ld});
+    Format::product_of_rows(tile.pairs, d, d, tile.hidden, tile.ld, a.mix_transposed, tile.ld,
+                            Store<S>{tile.logit, tile.ld});
     product<S>(tile.pairs, d, rows, tile.code, 1, tile.code_stride, a.value_code, d, Value{tile});
   }
 
@@ -152,7 +169,7 @@ struct Attention {
     }
   }
 
-  // From the gradient of out: logit and value become their own gradients.
+  // From the gradient of out: logit_gradient is filled in, and value becomes its own gradient.
   static void soften_backward(const Arguments& a, Tile& tile, const T* out_gradient) {
     const int count = pairs_per_query(a);
     for (int t = 0; t < tile.queries; ++t)
@@ -172,7 +189,7 @@ struct Attention {
           const auto value_gradient = S::load(logit + j * tile.ld) * scaled;
           const auto v = S::load(value + j * tile.ld);
           S::store(value + j * tile.ld, value_gradient);
-          S::store(logit + j * tile.ld, value_gradient * (v - out));
+          Format::store(tile.logit_gradient + (t * count + j) * tile.ld + c, value_gradient * (v - out));
         }
       }
   }
@@ -190,7 +207,7 @@ struct Attention {
         T* to = gradients.query + (a.shared_query ? 0 : (begin + t) * d);
         for (int c = 0; c < d; c += S::width) {
           auto sum = a.shared_query ? S::load(to + c) : S::all(0);
-          for (int j = 0; j < count; ++j) sum = sum + S::load(tile.hidden + (t * count + j) * tile.ld + c);
+          for (int j = 0; j < count; ++j) sum = sum + S::load(tile.hidden_gradient + (t * count + j) * tile.ld + c);
           S::store(to + c, sum);
         }
       }
@@ -198,7 +215,7 @@ struct Attention {
         const std::ptrdiff_t key = tile.key_index[pair];
         T* key_gradient = key < 0 ? gradients.extra_key : gradients.key ? gradients.key + key * d : nullptr;
         T* value_gradient = key < 0 ? gradients.extra_value : gradients.value ? gradients.value + key * d : nullptr;
-        if (key_gradient) add(key_gradient, tile.hidden + pair * tile.ld, d, T(-1));
+        if (key_gradient) add(key_gradient, tile.hidden_gradient + pair * tile.ld, d, T(-1));
         if (value_gradient) add(value_gradient, tile.value + pair * tile.ld, d, T(1));
       }
     }
@@ -206,7 +223,7 @@ struct Attention {
 
   static void position_gradients(const Arguments& a, std::int64_t begin, const Tile& tile, const Gradients& gradients) {
     const int count = pairs_per_query(a), d = a.channels, components = a.components, columns = code_columns(components);
-    product<S>(tile.pairs, columns, d, tile.hidden, tile.ld, 1, a.logit_code_transposed, columns,
+    product<S>(tile.pairs, columns, d, tile.hidden_gradient, tile.ld, 1, a.logit_code_transposed, columns,
                Store<S>{tile.code_gradient, columns});
     product<S>(tile.pairs, columns, d, tile.value, tile.ld, 1, a.value_code_transposed, columns,
                Add<S>{tile.code_gradient, columns});
@@ -234,10 +251,12 @@ struct Attention {
       prepare(a, query, int(end - query < step ? end - query : step), tile);
       soften_backward(a, tile, out_gradient + query * d);
       if (gradients.mix)
-        product<S>(d, d, tile.pairs, tile.logit, 1, tile.ld, tile.hidden, tile.ld, Add<S>{gradients.mix, d});
-      product<S>(tile.pairs, d, d, tile.logit, tile.ld, 1, a.mix, tile.ld, HiddenGradient{tile});
+        Format::product_of_columns(
+            d, d, tile.pairs, Format::columns(tile.logit_gradient, tile.pairs, d, tile.ld, tile.logit_columns),
+            Format::columns(tile.hidden, tile.pairs, d, tile.ld, tile.hidden_columns), Add<S>{gradients.mix, d});
+      Format::product_of_rows(tile.pairs, d, d, tile.logit_gradient, tile.ld, a.mix, tile.ld, HiddenGradient{tile});
       if (gradients.logit_code)
-        product<S>(rows, d, tile.pairs, tile.code, tile.code_stride, 1, tile.hidden, tile.ld,
+        product<S>(rows, d, tile.pairs, tile.code, tile.code_stride, 1, tile.hidden_gradient, tile.ld,
                    Add<S>{gradients.logit_code, d});
       if (gradients.value_code)
         product<S>(rows, d, tile.pairs, tile.code, tile.code_stride, 1, tile.value, tile.ld,

@@ -11,7 +11,7 @@ namespace moomill {
 inline constexpr int head_outputs = 16;  // columns outputs are padded to
 
 // Widths d and h are multiples of 16. Matrices named _t are transposed, [inputs, outputs]; rows of all are
-// padded_row(columns) apart, except where said.
+// padded_row(columns) apart, except where said; for bfloat16 all but W_out are packed, see format.h.
 template <class T>
 struct HeadArguments {
   int features = 0, width = 0, blocks = 0, outputs = 0;  // d, h, n, o
@@ -49,11 +49,12 @@ struct HeadKernels {
   int (*tile_rows)(const HeadArguments<T>&);
 };
 
-// For the instruction set in use; float and double.
+// For the instruction set in use; float and double. bfloat16: float with all products but that of W_out in bfloat16,
+// for processors that have it.
 template <class T>
-const HeadKernels<T>& head_kernels();
+const HeadKernels<T>& head_kernels(bool bfloat16);
 
-extern const HeadKernels<float> head_avx2, head_avx512;
+extern const HeadKernels<float> head_avx2, head_avx512, head_bfloat16;
 extern const HeadKernels<double> head_double;
 
 }  // namespace moomill

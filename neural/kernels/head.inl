@@ -1,14 +1,17 @@
-// Implementation of head.h for the vectors S of one instruction set. Included only by files compiled for it; see
-// vector.h.
+// Implementation of head.h; Format: of the activations and weights in the products. Included only by files compiled for
+// it; see vector.h.
+#include "neural/kernels/format.h"
 #include "neural/kernels/head.h"
 #include "neural/kernels/product.h"
 
 namespace moomill {
 namespace {
 
-template <class S>
+template <class Format>
 struct Head {
-  using T = typename S::Scalar;
+  using S = typename Format::S;
+  using T = typename Format::T;
+  using Element = typename Format::Element;
   using Arguments = HeadArguments<T>;
   using Gradients = HeadGradients<T>;
 
@@ -18,24 +21,39 @@ struct Head {
 
   struct Tile {
     int rows = 0;
-    const T* features = nullptr;
-    std::ptrdiff_t ld = 0;
-    T *net = nullptr, *last = nullptr, *out = nullptr;  // last = relu(net) at the end
-    T *inner = nullptr, *outer = nullptr;               // of each block: relu(net), relu(W_1 relu(net) + b_1)
-    std::ptrdiff_t block = 0;                           // from one block's to the next one's; 0 where none is kept
+    std::ptrdiff_t ld = 0;                       // of all with h columns
+    T *net = nullptr, *last = nullptr;           // last = relu(net) at the end
+    Element *inner = nullptr, *outer = nullptr;  // of each block: relu(net), relu(W_1 relu(net) + b_1)
+    std::ptrdiff_t block = 0;                    // from one block's to the next one's; 0 where none is kept
+    const Element* features = nullptr;
+    std::ptrdiff_t features_ld = 0;
+    Element* features_copy = nullptr;  // where their format is not that of the caller
+    Element* net_copy = nullptr;       // of the gradient of net; else the same
+    T* out = nullptr;
+    void *net_columns = nullptr, *layer_columns = nullptr, *features_columns = nullptr;
   };
 
   static Tile lay_out(const Arguments& a, bool backward, char*& at) {
     Tile tile;
     tile.ld = padded_row(a.width);
+    tile.features_ld = Format::half ? padded_row(a.features) : a.features;
     const std::size_t size = most_rows * tile.ld;
     const int kept = backward && a.blocks > 1 ? a.blocks : 1;
     tile.block = kept > 1 ? size : 0;
     tile.net = take<T>(at, size);
     tile.last = take<T>(at, size);
-    tile.inner = take<T>(at, size * kept);
-    tile.outer = take<T>(at, size * kept);
+    tile.inner = take<Element>(at, size * kept);
+    tile.outer = take<Element>(at, size * kept);
     tile.out = take<T>(at, most_rows * head_outputs);
+    if constexpr (Format::half) {
+      tile.features_copy = take<Element>(at, most_rows * tile.features_ld);
+      tile.net_copy = take<Element>(at, size);
+      tile.net_columns = take<char>(at, Format::columns_bytes(most_rows, a.width));
+      tile.layer_columns = take<char>(at, 2 * Format::columns_bytes(most_rows, a.width));
+      tile.features_columns = take<char>(at, Format::columns_bytes(most_rows, a.features));
+    } else {
+      tile.net_copy = tile.net;
+    }
     return tile;
   }
 
@@ -47,16 +65,17 @@ struct Head {
   }
 
   struct Layer {  // to = relu(sum + bias)
-    T* to;
+    Element* to;
     const T* bias;
     std::ptrdiff_t ld;
     MOOMILL_INLINE void operator()(int row, int column, typename S::Vector sum) const {
-      S::store(to + row * ld + column, S::max(S::all(0), sum + S::load(bias + column)));
+      Format::store(to + row * ld + column, S::max(S::all(0), sum + S::load(bias + column)));
     }
   };
   template <bool add, bool activate>
   struct Residual {  // net = or += sum + bias; to = relu(net)
-    T *net, *to;
+    T* net;
+    Element* to;
     const T* bias;
     std::ptrdiff_t ld;
     MOOMILL_INLINE void operator()(int row, int column, typename S::Vector sum) const {
@@ -64,7 +83,18 @@ struct Head {
       auto x = sum + S::load(bias + column);
       if (add) x = x + S::load(place);
       S::store(place, x);
-      if (activate) S::store(to + row * ld + column, S::max(S::all(0), x));
+      if (activate) Format::store(to + row * ld + column, S::max(S::all(0), x));
+    }
+  };
+  template <bool add>
+  struct Last {  // to = relu(sum + bias (+ to)), in the format of net
+    T* to;
+    const T *bias, *net;
+    std::ptrdiff_t ld;
+    MOOMILL_INLINE void operator()(int row, int column, typename S::Vector sum) const {
+      auto x = sum + S::load(bias + column);
+      if (add) x = x + S::load(net + row * ld + column);
+      S::store(to + row * ld + column, S::max(S::all(0), x));
     }
   };
   struct Biased {
@@ -74,44 +104,71 @@ struct Head {
       S::store(to + row * head_outputs + column, sum + S::load(bias + column));
     }
   };
-  struct Masked {  // to = sum where activation is positive, else 0; the two may be the same
+  struct LastGradient {  // to = sum where activation is positive, else 0
     T* to;
+    Element* copy;
     const T* activation;
     std::ptrdiff_t ld;
     MOOMILL_INLINE void operator()(int row, int column, typename S::Vector sum) const {
-      S::store(to + row * ld + column, S::where_positive(S::load(activation + row * ld + column), sum));
+      const std::ptrdiff_t place = row * ld + column;
+      const auto x = S::where_positive(S::load(activation + place), sum);
+      S::store(to + place, x);
+      if (Format::half) Format::store(copy + place, x);
     }
   };
-  struct AddMasked {
-    T* to;
-    const T* activation;
+  struct LayerGradient {  // takes the place of the activation
+    Element* activation;
     std::ptrdiff_t ld;
     MOOMILL_INLINE void operator()(int row, int column, typename S::Vector sum) const {
-      T* place = to + row * ld + column;
-      S::store(place, S::load(place) + S::where_positive(S::load(activation + row * ld + column), sum));
+      Element* place = activation + row * ld + column;
+      Format::store(place, Format::where_positive(place, sum));
+    }
+  };
+  struct NetGradient {  // to += sum where activation is positive
+    T* to;
+    Element* copy;
+    const Element* activation;
+    std::ptrdiff_t ld;
+    MOOMILL_INLINE void operator()(int row, int column, typename S::Vector sum) const {
+      const std::ptrdiff_t place = row * ld + column;
+      const auto x = S::load(to + place) + Format::where_positive(activation + place, sum);
+      S::store(to + place, x);
+      if (Format::half) Format::store(copy + place, x);
     }
   };
 
   // All activations of the tile's rows up to last.
-  static void evaluate(const Arguments& a, Tile& tile) {
+  static void evaluate(const Arguments& a, const T* features, Tile& tile) {
     const int d = a.features, h = a.width, rows = tile.rows;
-    const std::ptrdiff_t ld = tile.ld;
-    if (a.blocks == 0)
-      product<S>(rows, h, d, tile.features, d, 1, a.in_t, ld,
-                 Residual<false, true>{tile.net, tile.last, a.in_bias, ld});
+    const std::ptrdiff_t ld = tile.ld, feature_size = Format::weight_size(d, ld),
+                         layer_size = Format::weight_size(h, ld);
+    if constexpr (Format::half) {
+      for (int r = 0; r < rows; ++r)
+        for (int c = 0; c < d; c += S::width)
+          Format::store(tile.features_copy + r * tile.features_ld + c, S::load(features + std::ptrdiff_t(r) * d + c));
+      tile.features = tile.features_copy;
+    } else {
+      tile.features = features;
+    }
+    auto of_features = [&](const T* weight, auto out) {
+      Format::product_of_rows(rows, h, d, tile.features, tile.features_ld, weight, ld, out);
+    };
+    auto of_layer = [&](const Element* layer, const T* weight, auto out) {
+      Format::product_of_rows(rows, h, h, layer, ld, weight, ld, out);
+    };
+    if (a.blocks == 0) of_features(a.in_t, Last<false>{tile.last, a.in_bias, nullptr, ld});
     for (int b = 0; b < a.blocks; ++b) {
-      T *inner = tile.inner + b * tile.block, *outer = tile.outer + b * tile.block;
+      Element *inner = tile.inner + b * tile.block, *outer = tile.outer + b * tile.block;
       if (b == 0)
-        product<S>(rows, h, d, tile.features, d, 1, a.in_t, ld, Residual<false, true>{tile.net, inner, a.in_bias, ld});
+        of_features(a.in_t, Residual<false, true>{tile.net, inner, a.in_bias, ld});
       else
-        product<S>(rows, h, d, tile.features, d, 1, a.feature_t + b * d * ld, ld,
-                   Residual<true, true>{tile.net, inner, a.feature_bias + b * h, ld});
-      product<S>(rows, h, h, inner, ld, 1, a.first_t + b * h * ld, ld, Layer{outer, a.first_bias + b * h, ld});
-      const T *second = a.second_t + b * h * ld, *bias = a.second_bias + b * h;
+        of_features(a.feature_t + b * feature_size, Residual<true, true>{tile.net, inner, a.feature_bias + b * h, ld});
+      of_layer(inner, a.first_t + b * layer_size, Layer{outer, a.first_bias + b * h, ld});
+      const T *second = a.second_t + b * layer_size, *bias = a.second_bias + b * h;
       if (b + 1 < a.blocks)
-        product<S>(rows, h, h, outer, ld, 1, second, ld, Residual<true, false>{tile.net, nullptr, bias, ld});
+        of_layer(outer, second, Residual<true, false>{tile.net, nullptr, bias, ld});
       else
-        product<S>(rows, h, h, outer, ld, 1, second, ld, Residual<true, true>{tile.net, tile.last, bias, ld});
+        of_layer(outer, second, Last<true>{tile.last, bias, tile.net, ld});
     }
   }
 
@@ -121,8 +178,7 @@ struct Head {
     Tile tile = lay_out(a, false, at);
     for (std::int64_t row = begin; row < end; row += most_rows) {
       tile.rows = int(end - row < most_rows ? end - row : most_rows);
-      tile.features = features + row * a.features;
-      evaluate(a, tile);
+      evaluate(a, features + row * a.features, tile);
       product<S>(tile.rows, head_outputs, a.width, tile.last, tile.ld, 1, a.out_t, head_outputs,
                  Biased{tile.out, a.out_bias});
       for (int r = 0; r < tile.rows; ++r)
@@ -130,19 +186,14 @@ struct Head {
     }
   }
 
-  static void add_column_sums(const T* from, int rows, int columns, std::ptrdiff_t ld, T* to) {
+  // Numbers: S or Format, whose numbers from holds.
+  template <class Numbers, class From>
+  static void add_column_sums(const From* from, int rows, int columns, std::ptrdiff_t ld, T* to) {
     for (int c = 0; c < columns; c += S::width) {
       auto sum = S::all(0);
-      for (int r = 0; r < rows; ++r) sum = sum + S::load(from + r * ld + c);
+      for (int r = 0; r < rows; ++r) sum = sum + Numbers::load(from + r * ld + c);
       S::store(to + c, S::load(to + c) + sum);
     }
-  }
-
-  // Gradients of a layer's weights [h, columns] and bias from those of its outputs, [rows, h] at gradient.
-  static void layer_gradients(const Tile& tile, int h, const T* gradient, const T* input, std::ptrdiff_t ld_input,
-                              int columns, T* weight, T* bias) {
-    product<S>(h, columns, tile.rows, gradient, 1, tile.ld, input, ld_input, Add<S>{weight, columns});
-    add_column_sums(gradient, tile.rows, h, tile.ld, bias);
   }
 
   static void backward(const Arguments& a, const T* features, std::int64_t begin, std::int64_t end,
@@ -151,42 +202,66 @@ struct Head {
     Tile tile = lay_out(a, true, at);
     const int d = a.features, h = a.width;
     const std::ptrdiff_t ld = tile.ld, ld_in = padded_row(d);
+    const std::ptrdiff_t layer_size = Format::weight_size(h, ld), feature_size = Format::weight_size(h, ld_in);
     T* const net = tile.net;  // from here on, its gradient
+    char *const inputs = static_cast<char*>(tile.layer_columns), *const outputs =
+                                                                     inputs + Format::columns_bytes(most_rows, h);
     for (std::int64_t row = begin; row < end; row += most_rows) {
       const int rows = tile.rows = int(end - row < most_rows ? end - row : most_rows);
-      tile.features = features + row * d;
       T* features_gradient = g.features ? g.features + row * d : nullptr;
-      evaluate(a, tile);
+      evaluate(a, features + row * d, tile);
+      auto columns = [&](const Element* x, void* scratch) { return Format::columns(x, rows, h, ld, scratch); };
+      typename Format::Columns features_columns{};
+      if (g.in) features_columns = Format::columns(tile.features, rows, d, tile.features_ld, tile.features_columns);
+      // Gradients of a layer from those of its outputs.
+      auto add_layer = [&](typename Format::Columns gradient, typename Format::Columns input, int width, T* weight) {
+        Format::product_of_columns(h, width, rows, gradient, input, Add<S>{weight, width});
+      };
+      bool first_use = true;  // of features_gradient
+      auto add_features = [&](const T* weight) {
+        if (!features_gradient) return;
+        if (first_use)
+          Format::product_of_rows(rows, d, h, tile.net_copy, ld, weight, ld_in, Store<S>{features_gradient, d});
+        else
+          Format::product_of_rows(rows, d, h, tile.net_copy, ld, weight, ld_in, Add<S>{features_gradient, d});
+        first_use = false;
+      };
 
       const T* gradient = out_gradient + row * a.outputs;
-      product<S>(rows, h, a.outputs, gradient, a.outputs, 1, a.out, h, Masked{net, tile.last, ld});
-      if (g.out) {
+      product<S>(rows, h, a.outputs, gradient, a.outputs, 1, a.out, h, LastGradient{net, tile.net_copy, tile.last, ld});
+      typename Format::Columns net_columns{};
+      if (g.in) {
         product<S>(a.outputs, h, rows, gradient, 1, a.outputs, tile.last, ld, Add<S>{g.out, h});
         for (int r = 0; r < rows; ++r)
           for (int o = 0; o < a.outputs; ++o) g.out_bias[o] += gradient[r * a.outputs + o];
+        net_columns = columns(tile.net_copy, tile.net_columns);
       }
       for (int b = a.blocks - 1; b >= 0; --b) {
-        T *inner = tile.inner + b * tile.block, *outer = tile.outer + b * tile.block;
-        if (g.in) layer_gradients(tile, h, net, outer, ld, h, g.second + b * h * h, g.second_bias + b * h);
-        product<S>(rows, h, h, net, ld, 1, a.second + b * h * ld, ld, Masked{outer, outer, ld});
-        if (g.in) layer_gradients(tile, h, outer, inner, ld, h, g.first + b * h * h, g.first_bias + b * h);
-        product<S>(rows, h, h, outer, ld, 1, a.first + b * h * ld, ld, AddMasked{net, inner, ld});
+        Element *inner = tile.inner + b * tile.block, *outer = tile.outer + b * tile.block;
+        if (g.in) {
+          add_layer(net_columns, columns(outer, inputs), h, g.second + b * h * h);
+          add_column_sums<S>(net, rows, h, ld, g.second_bias + b * h);
+        }
+        Format::product_of_rows(rows, h, h, tile.net_copy, ld, a.second + b * layer_size, ld, LayerGradient{outer, ld});
+        if (g.in) {
+          add_layer(columns(outer, outputs), columns(inner, inputs), h, g.first + b * h * h);
+          add_column_sums<Format>(outer, rows, h, ld, g.first_bias + b * h);
+        }
+        Format::product_of_rows(rows, h, h, outer, ld, a.first + b * layer_size, ld,
+                                NetGradient{net, tile.net_copy, inner, ld});
+        if (g.in) net_columns = columns(tile.net_copy, tile.net_columns);
         if (b == 0) break;
-        if (g.in) layer_gradients(tile, h, net, tile.features, d, d, g.feature + b * h * d, g.feature_bias + b * h);
-        if (!features_gradient) continue;
-        const T* feature = a.feature + b * h * ld_in;
-        if (b == a.blocks - 1)
-          product<S>(rows, d, h, net, ld, 1, feature, ld_in, Store<S>{features_gradient, d});
-        else
-          product<S>(rows, d, h, net, ld, 1, feature, ld_in, Add<S>{features_gradient, d});
+        if (g.in) {
+          add_layer(net_columns, features_columns, d, g.feature + b * h * d);
+          add_column_sums<S>(net, rows, h, ld, g.feature_bias + b * h);
+        }
+        add_features(a.feature + b * feature_size);
       }
-      if (g.in) layer_gradients(tile, h, net, tile.features, d, d, g.in, g.in_bias);
-      if (features_gradient) {
-        if (a.blocks <= 1)
-          product<S>(rows, d, h, net, ld, 1, a.in, ld_in, Store<S>{features_gradient, d});
-        else
-          product<S>(rows, d, h, net, ld, 1, a.in, ld_in, Add<S>{features_gradient, d});
+      if (g.in) {
+        add_layer(net_columns, features_columns, d, g.in);
+        add_column_sums<S>(net, rows, h, ld, g.in_bias);
       }
+      add_features(a.in);
     }
   }
 

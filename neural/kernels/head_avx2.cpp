@@ -2,7 +2,7 @@
 
 namespace moomill {
 
-const HeadKernels<float> head_avx2 = Head<FloatAvx2>::kernels;
-const HeadKernels<double> head_double = Head<DoubleAvx2>::kernels;
+const HeadKernels<float> head_avx2 = Head<FullFormat<FloatAvx2>>::kernels;
+const HeadKernels<double> head_double = Head<FullFormat<DoubleAvx2>>::kernels;
 
 }  // namespace moomill

@@ -18,11 +18,16 @@ namespace {
 struct FloatAvx2 {
   using Scalar = float;
   using Vector = __m256;
+  using Operand = Scalar;  // of products
+  using OperandVector = Vector;
   static constexpr int width = 8, panel_vectors = 2;  // registers of a product: 6 x 2 sums, 2 + 1 operands, of 16
   static Vector load(const float* p) { return _mm256_loadu_ps(p); }
   static void store(float* p, Vector v) { _mm256_storeu_ps(p, v); }
   static Vector all(float x) { return _mm256_set1_ps(x); }
   static Vector fma(Vector a, Vector b, Vector c) { return _mm256_fmadd_ps(a, b, c); }
+  static Vector load_operand(const Operand* p) { return load(p); }
+  static Vector spread_operand(Operand x) { return all(x); }
+  static Vector multiply_add(Vector a, Vector b, Vector sum) { return fma(a, b, sum); }
   static Vector max(Vector a, Vector b) { return _mm256_max_ps(a, b); }  // b where either is NaN
   static Vector round(Vector v) { return _mm256_round_ps(v, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC); }
   // v where x is not <= 0 (so also where it is NaN), else 0.
@@ -34,9 +39,11 @@ struct FloatAvx2 {
     const Vector magnitude = _mm256_andnot_ps(_mm256_set1_ps(-0.0f), v);
     return _mm256_movemask_ps(_mm256_cmp_ps(magnitude, _mm256_set1_ps(limit), _CMP_LE_OQ)) == 0xff;
   }
-  // v 2^n for whole n from -126 to 0; n and v of less end near the smallest normal number.
+  // What exp2_of_negative may be asked for: below, the exponent of scale leaves the range of normal numbers.
+  static Vector least_exponent(Vector v) { return _mm256_max_ps(_mm256_set1_ps(-126), v); }
+  // v 2^n for whole n from -126 to 0.
   static Vector scale(Vector v, Vector n) {
-    const __m256i exponent = _mm256_slli_epi32(_mm256_cvtps_epi32(_mm256_max_ps(_mm256_set1_ps(-126), n)), 23);
+    const __m256i exponent = _mm256_slli_epi32(_mm256_cvtps_epi32(n), 23);
     return v * _mm256_castsi256_ps(_mm256_add_epi32(exponent, _mm256_set1_epi32(127 << 23)));
   }
   // Sine and cosine of r + quarter pi / 2 from those of r.
@@ -56,11 +63,16 @@ struct FloatAvx2 {
 struct DoubleAvx2 {
   using Scalar = double;
   using Vector = __m256d;
+  using Operand = Scalar;  // of products
+  using OperandVector = Vector;
   static constexpr int width = 4, panel_vectors = 2;
   static Vector load(const double* p) { return _mm256_loadu_pd(p); }
   static void store(double* p, Vector v) { _mm256_storeu_pd(p, v); }
   static Vector all(double x) { return _mm256_set1_pd(x); }
   static Vector fma(Vector a, Vector b, Vector c) { return _mm256_fmadd_pd(a, b, c); }
+  static Vector load_operand(const Operand* p) { return load(p); }
+  static Vector spread_operand(Operand x) { return all(x); }
+  static Vector multiply_add(Vector a, Vector b, Vector sum) { return fma(a, b, sum); }
   static Vector max(Vector a, Vector b) { return _mm256_max_pd(a, b); }
   static Vector where_positive(Vector x, Vector v) {
     return _mm256_and_pd(_mm256_cmp_pd(x, _mm256_setzero_pd(), _CMP_NLE_UQ), v);
@@ -71,11 +83,16 @@ struct DoubleAvx2 {
 struct FloatAvx512 {
   using Scalar = float;
   using Vector = __m512;
+  using Operand = Scalar;  // of products
+  using OperandVector = Vector;
   static constexpr int width = 16, panel_vectors = 4;  // 6 x 4 sums, 4 + 1 operands, of 32 registers
   static Vector load(const float* p) { return _mm512_loadu_ps(p); }
   static void store(float* p, Vector v) { _mm512_storeu_ps(p, v); }
   static Vector all(float x) { return _mm512_set1_ps(x); }
   static Vector fma(Vector a, Vector b, Vector c) { return _mm512_fmadd_ps(a, b, c); }
+  static Vector load_operand(const Operand* p) { return load(p); }
+  static Vector spread_operand(Operand x) { return all(x); }
+  static Vector multiply_add(Vector a, Vector b, Vector sum) { return fma(a, b, sum); }
   static Vector max(Vector a, Vector b) { return _mm512_max_ps(a, b); }
   static Vector round(Vector v) { return _mm512_roundscale_ps(v, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC); }
   static Vector where_positive(Vector x, Vector v) {
@@ -84,6 +101,8 @@ struct FloatAvx512 {
   static bool all_within(Vector v, float limit) {
     return _mm512_cmp_ps_mask(_mm512_abs_ps(v), _mm512_set1_ps(limit), _CMP_LE_OQ) == 0xffff;
   }
+  static Vector least_exponent(Vector v) { return v; }
+  // Any n; NaN 2^-infinity is 0, as exp2_of_negative needs it.
   static Vector scale(Vector v, Vector n) { return _mm512_scalef_ps(v, n); }
   static void turn(Vector quarter, Vector& sine, Vector& cosine) {
     const __m512i q = _mm512_cvtps_epi32(quarter), one = _mm512_set1_epi32(1);
@@ -93,6 +112,17 @@ struct FloatAvx512 {
     const Vector s = _mm512_mask_mov_ps(sine, odd, cosine), c = _mm512_mask_mov_ps(cosine, odd, sine);
     sine = _mm512_castsi512_ps(_mm512_xor_si512(_mm512_castps_si512(s), flip_sine));
     cosine = _mm512_castsi512_ps(_mm512_xor_si512(_mm512_castps_si512(c), flip_cosine));
+  }
+};
+
+// Products of pairs of bfloat16, added up in float.
+struct PairsAvx512 : FloatAvx512 {
+  using Operand = std::uint32_t;  // the even k in the low half
+  using OperandVector = __m512i;
+  static OperandVector load_operand(const Operand* p) { return _mm512_loadu_si512(p); }
+  static OperandVector spread_operand(Operand x) { return _mm512_set1_epi32(int(x)); }
+  static Vector multiply_add(OperandVector a, OperandVector b, Vector sum) {
+    return _mm512_dpbf16_ps(sum, __m512bh(a), __m512bh(b));
   }
 };
 #endif
@@ -105,7 +135,7 @@ Element* take(char*& at, std::size_t count) {
   return taken;
 }
 
-// 2^x for x <= 0, and NaN for NaN. Float: relative error 2e-7; below 2^-126 it is that, or 0, or between.
+// 2^x for x <= 0, and NaN for NaN. Float: relative error 2e-7; below 2^-126 anything from 0 to that.
 template <class S>
 MOOMILL_INLINE typename S::Vector exp2_of_negative(typename S::Vector x) {
   if constexpr (sizeof(typename S::Scalar) == 8) {
@@ -114,6 +144,7 @@ MOOMILL_INLINE typename S::Vector exp2_of_negative(typename S::Vector x) {
     for (double& lane : lanes) lane = ::exp2(lane);
     return S::load(lanes);
   } else {
+    x = S::least_exponent(x);
     const auto whole = S::round(x);
     const auto rest = x - whole;
     // 1 + rest q(rest), q interpolating (2^x - 1) / x at the Chebyshev nodes of [-1/2, 1/2]: relative error 2e-7.
