@@ -82,19 +82,26 @@ GeometryLosses geometry_losses(GeometryNetwork& network, const Batch& batch, con
   return l;
 }
 
+FrozenGeometry freeze(GeometryNetwork& geometry, const Batch& batch) {
+  torch::NoGradGuard fixed;
+  FrozenGeometry f;
+  f.pose = geometry->encode(batch.noisy_keypoints);
+  if (geometry->config().surface_octaves > 0) {
+    const ViewFeatures view = geometry->view(f.pose, camera_of(batch));
+    f.nnopcs = geometry->nnopcs(geometry->attend(view, batch.surface_points));
+  }
+  return f;
+}
+
 TextureLosses texture_losses(GeometryNetwork& geometry, TextureNetwork& texture, const Batch& batch, const TextureTraining& w,
                              const Tensor& noise) {
-  Pose3d pose;
-  {
-    torch::NoGradGuard frozen;
-    pose = geometry->encode(batch.noisy_keypoints);
-  }
+  const FrozenGeometry frozen = freeze(geometry, batch);
   const TextureCode code = texture->encode(batch.images);
   const Tensor logvar = code.logvar.clamp(least_logvar, greatest_logvar);
   const Tensor drawn = noise.defined() ? code.mean + noise * (logvar / 2).exp() : code.mean;
-  const ViewFeatures view = texture->view(drawn, pose, camera_of(batch));
+  const ViewFeatures view = texture->view(drawn, frozen.pose, camera_of(batch));
   TextureLosses l;
-  l.color = w.color_weight * (texture->color(view, batch.surface_points) - batch.color).square().mean();
+  l.color = w.color_weight * (texture->color(view, batch.surface_points, frozen.nnopcs) - batch.color).square().mean();
   l.divergence = w.divergence_weight * (-0.5 * (1 + logvar - code.mean.square() - logvar.exp()).sum());
   return l;
 }
@@ -214,8 +221,9 @@ TrainingEnd train_texture(const SampleSource& source, const NetepuConfig& config
       const Batch b = source.batch(validation, 0, i);
       const auto n = static_cast<double>(b.views.size());
       const TextureCode code = model.texture->encode(b.images);
-      const ViewFeatures view = model.texture->view(code.mean, model.geometry->encode(b.keypoints), camera_of(b));
-      const Tensor error = (model.texture->color(view, b.surface_points).clamp(0, 1) - b.color).square().mean({1, 2});
+      const FrozenGeometry frozen = freeze(model.geometry, b);
+      const ViewFeatures view = model.texture->view(code.mean, frozen.pose, camera_of(b));
+      const Tensor error = (model.texture->color(view, b.surface_points, frozen.nnopcs).clamp(0, 1) - b.color).square().mean({1, 2});
       mean.add(0, error.mean().item<double>(), n);
       mean.add(1, (-10 * (error + 1e-10).log10()).mean().item<double>(), n);
       const Tensor flat = (b.color - b.color.mean(1, true)).square().mean({1, 2});

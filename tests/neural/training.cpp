@@ -31,6 +31,7 @@ NetepuConfig small_config(const SampleSource& source) {
   m.local_features = 32, m.global_features = 32, m.head_width = 32, m.head_blocks = 2, m.encoder_blocks = 1;
   m.keypoint_bottleneck = 32, m.near_neighbours = 4, m.neighbours = 6;
   m.image_channels = {8, 16}, m.image_blocks = 1;
+  m.position_gradient = false;
   c.geometry.batch = 8, c.geometry.epochs = 4, c.geometry.validate_every = 2;
   c.geometry.silhouette_points = 48, c.geometry.surface_points = 32;
   c.texture.batch = 8, c.texture.epochs = 4, c.texture.validate_every = 2, c.texture.surface_points = 32;
