@@ -133,7 +133,8 @@ CodeSet embed(Model& model, const SampleSource& source, const std::vector<ViewId
     ViewMaps maps{truth.mask, truth.depth, truth.nnopcs};
     if (!options.true_maps) {
       const PosedAnimal animal = pose_animal(model.geometry, truth.keypoints, fmt::format("frame {}", frame));
-      maps = render_maps(model.geometry, view_animal(model.geometry, animal, camera_of(truth)), animal, options.refine);
+      maps = render_maps(model.geometry, view_animal(model.geometry, animal, camera_of(truth)), animal, options.refine,
+                         Surface::nnopcs);
     }
     codes.push_back(encode_coats(model, torch::stack(pictures), maps.mask, maps.nnopcs));
     for (std::size_t c = 0; c < coats.size(); ++c) {

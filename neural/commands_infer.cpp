@@ -98,7 +98,7 @@ Tensor code_of_photo(Model& model, const PhotoChoice& choice) {
                 file.camera->width, file.camera->height, choice.picture.string(), photo.mask.size(1), photo.mask.size(0));
   const PosedAnimal animal = pose_animal(model.geometry, file.keypoints, choice.pose.string());
   const AnimalView view = view_animal(model.geometry, animal, *file.camera);
-  const ViewMaps maps = render_surface(model.geometry, view, photo.mask, {});
+  const ViewMaps maps = render_surface(model.geometry, view, photo.mask, {}, Surface::nnopcs);
   return encode_coats(model, photo.color.unsqueeze(0), maps.mask, maps.nnopcs);
 }
 
@@ -220,7 +220,7 @@ int run_render(const RenderCommand& command, const CommandTools& tools) {
   refine.mask_cell = command.every_pixel ? 1 : command.mask_cell;
   refine.surface_cell = command.every_pixel ? 1 : command.surface_cell;
   std::int64_t points = 0;
-  const ViewMaps maps = render_maps(model.geometry, view, animal, refine, &points);
+  const ViewMaps maps = render_maps(model.geometry, view, animal, refine, Surface::depth_and_nnopcs, &points);
   const Image8 mask = picture_of(maps.mask);
   Image8 mask1(mask.width, mask.height, 1);
   for (std::size_t i = 0; i < mask1.data.size(); ++i) mask1.data[i] = mask.data[3 * i];

@@ -119,30 +119,33 @@ Tensor render_mask(GeometryNetwork& geometry, const AnimalView& view, const Pose
                     evaluated);
 }
 
-Tensor surface_at(GeometryNetwork& geometry, const AnimalView& view, const Tensor& points) {
+Tensor surface_at(GeometryNetwork& geometry, const AnimalView& view, const Tensor& points, Surface surface) {
   const Inference guard;
   const Tensor features = geometry->attend(view.features, points.unsqueeze(0));
-  const Tensor depth = geometry->depth(features)[0].unsqueeze(1);
-  if (!geometry->config().nnopcs) return depth;
-  return torch::cat({depth, geometry->nnopcs(features)[0]}, 1);
+  std::vector<Tensor> parts;
+  if (surface == Surface::depth_and_nnopcs) parts.push_back(geometry->depth(features)[0].unsqueeze(1));
+  if (geometry->config().nnopcs) parts.push_back(geometry->nnopcs(features)[0]);
+  check(!parts.empty(), "a surface of something");
+  return torch::cat(parts, 1);
 }
 
 ViewMaps render_surface(GeometryNetwork& geometry, const AnimalView& view, const Tensor& mask, const RefineOptions& options,
-                        std::int64_t* evaluated) {
+                        Surface surface, std::int64_t* evaluated) {
   const Inference guard;
-  const PointFunction surface = [&](const Tensor& points) { return surface_at(geometry, view, points); };
-  const bool nnopcs = geometry->config().nnopcs;
-  const Tensor values = fill_mask(surface, nnopcs ? 4 : 1, mask, options, evaluated);
   ViewMaps maps;
   maps.mask = mask;
-  maps.depth = (values[0] * view.depth_range + view.near_depth) * mask;
-  if (nnopcs) maps.nnopcs = values.slice(0, 1, 4).clamp(0, 1);
+  const int depths = surface == Surface::depth_and_nnopcs, channels = depths + (geometry->config().nnopcs ? 3 : 0);
+  if (channels == 0) return maps;
+  const PointFunction values_at = [&](const Tensor& points) { return surface_at(geometry, view, points, surface); };
+  const Tensor values = fill_mask(values_at, channels, mask, options, evaluated);
+  if (depths) maps.depth = (values[0] * view.depth_range + view.near_depth) * mask;
+  if (geometry->config().nnopcs) maps.nnopcs = values.slice(0, depths, depths + 3).clamp(0, 1);
   return maps;
 }
 
 ViewMaps render_maps(GeometryNetwork& geometry, const AnimalView& view, const PosedAnimal& animal, const RefineOptions& options,
-                     std::int64_t* evaluated) {
-  return render_surface(geometry, view, render_mask(geometry, view, animal, options, evaluated), options, evaluated);
+                     Surface surface, std::int64_t* evaluated) {
+  return render_surface(geometry, view, render_mask(geometry, view, animal, options, evaluated), options, surface, evaluated);
 }
 
 Tensor render_color(TextureNetwork& texture, const Tensor& codes, const AnimalView& view, const PosedAnimal& animal,
@@ -195,6 +198,7 @@ MapDifference compare_maps(const ViewMaps& full, const ViewMaps& shortcut) {
     d.nnopcs_mean = difference.mean().item<double>();
     d.nnopcs_max = difference.max().item<double>();
   }
+  if (!full.depth.defined() || !shortcut.depth.defined()) return d;
   const Tensor difference = (full.depth - shortcut.depth).abs().index({both}).to(torch::kDouble) * 1000;
   d.depth_mean_mm = difference.mean().item<double>();
   d.depth_max_mm = difference.max().item<double>();

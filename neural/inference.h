@@ -46,19 +46,23 @@ PixelBox search_box(const AnimalView& view, const PosedAnimal& animal);
 torch::Tensor render_mask(GeometryNetwork& geometry, const AnimalView& view, const PosedAnimal& animal,
                           const RefineOptions& options, std::int64_t* evaluated = nullptr);
 
-// Depth and, where the model has it, NNOPCS at points [M, 2]: [M, 1] or [M, 4] (depth first), depth in units of the keypoints' range.
-torch::Tensor surface_at(GeometryNetwork& geometry, const AnimalView& view, const torch::Tensor& points);
+// What of the surface is wanted; a texture code needs no depth. NNOPCS comes only where the model has it.
+enum class Surface { depth_and_nnopcs, nnopcs };
+
+// Surface at points [M, 2]: [M, C], depth (in units of the keypoints' range) before NNOPCS.
+torch::Tensor surface_at(GeometryNetwork& geometry, const AnimalView& view, const torch::Tensor& points,
+                         Surface surface = Surface::depth_and_nnopcs);
 
 struct ViewMaps {
   torch::Tensor mask;    // [h, w], 0 or 1
-  torch::Tensor depth;   // [h, w] metres, camera z; 0 outside
+  torch::Tensor depth;   // [h, w] metres, camera z; 0 outside; undefined where not asked for
   torch::Tensor nnopcs;  // [3, h, w], clamped to [0, 1]; 0 outside; undefined where the model has none
 };
-// Depth and NNOPCS inside a mask.
-ViewMaps render_surface(GeometryNetwork& geometry, const AnimalView& view, const torch::Tensor& mask,
-                        const RefineOptions& options, std::int64_t* evaluated = nullptr);
+// The surface inside a mask. *evaluated gains the points evaluated.
+ViewMaps render_surface(GeometryNetwork& geometry, const AnimalView& view, const torch::Tensor& mask, const RefineOptions& options,
+                        Surface surface = Surface::depth_and_nnopcs, std::int64_t* evaluated = nullptr);
 ViewMaps render_maps(GeometryNetwork& geometry, const AnimalView& view, const PosedAnimal& animal, const RefineOptions& options,
-                     std::int64_t* evaluated = nullptr);
+                     Surface surface = Surface::depth_and_nnopcs, std::int64_t* evaluated = nullptr);
 
 // Colours of coats inside a mask: codes [T, z] to sRGB [T, 3, h, w], clamped to [0, 1], 0 outside.
 torch::Tensor render_color(TextureNetwork& texture, const torch::Tensor& codes, const AnimalView& view, const PosedAnimal& animal,

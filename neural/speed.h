@@ -35,7 +35,8 @@ struct SpeedResult {
   bool untrained = false;
   std::vector<SpeedVariant> variants;
 };
-// Variants: every pixel; coarse to fine; with interpolation; both of these in bfloat16 where the processor has it.
+// Variants: every pixel; coarse to fine; with interpolation; both of these in bfloat16 where the processor has it. No depth: codes
+// need none.
 SpeedResult measure_speed(Model& model, const SampleSource& source, const SpeedOptions& options);
 
 std::vector<Measure> measures_of(const SpeedResult& result);

@@ -168,8 +168,8 @@ TEST_CASE("a network's silhouette traced coarse to fine is the full one but for 
   const PosedAnimal animal = tiny_animal(model);
   const AnimalView view = view_animal(model.geometry, animal, camera);
   std::int64_t all = 0, some = 0;
-  const ViewMaps full = render_maps(model.geometry, view, animal, every_pixel(), &all);
-  const ViewMaps traced = render_maps(model.geometry, view, animal, {}, &some);
+  const ViewMaps full = render_maps(model.geometry, view, animal, every_pixel(), Surface::depth_and_nnopcs, &all);
+  const ViewMaps traced = render_maps(model.geometry, view, animal, {}, Surface::depth_and_nnopcs, &some);
   Tensor truth = torch::zeros({240, 320});
   for (int y = 0; y < 240; ++y)
     for (int x = 0; x < 320; ++x) truth[y][x] = test::tiny_trace(test::tiny_pose(3), camera, x + 0.5, y + 0.5).has_value();
@@ -183,7 +183,7 @@ TEST_CASE("a network's silhouette traced coarse to fine is the full one but for 
   RefineOptions coarse;
   coarse.surface_cell = 8;
   std::int64_t fewer = 0;
-  const MapDifference interpolated = compare_maps(full, render_maps(model.geometry, view, animal, coarse, &fewer));
+  const MapDifference interpolated = compare_maps(full, render_maps(model.geometry, view, animal, coarse, Surface::depth_and_nnopcs, &fewer));
   CHECK(interpolated.nnopcs_mean < 1e-3);
   CHECK(interpolated.nnopcs_max > 0);
   CHECK(fewer < some);
@@ -216,6 +216,21 @@ TEST_CASE("maps are what the heads say at the pixels' centres, and nothing outsi
         CHECK(maps.nnopcs[c][y][x].item<float>() == doctest::Approx(surface[c + 1].clamp(0, 1).item<float>()).epsilon(1e-3));
     }
   CHECK(checked > 10);
+}
+
+TEST_CASE("NNOPCS is the same without depth") {
+  Model model = small_model();
+  const PosedAnimal animal = tiny_animal(model);
+  const AnimalView view = view_animal(model.geometry, animal, camera_of_size(40, 30));
+  const Tensor mask = torch::ones({30, 40});
+  const ViewMaps both = render_surface(model.geometry, view, mask, {}), one = render_surface(model.geometry, view, mask, {}, Surface::nnopcs);
+  CHECK(torch::equal(both.nnopcs, one.nnopcs));
+  CHECK_FALSE(one.depth.defined());
+  NetepuConfig config = small_config();
+  config.model.nnopcs = false;
+  Model plain = small_model(config);
+  const ViewMaps neither = render_surface(plain.geometry, view_animal(plain.geometry, tiny_animal(plain), camera_of_size(40, 30)), mask, {}, Surface::nnopcs);
+  CHECK_FALSE(neither.nnopcs.defined());
 }
 
 TEST_CASE("coats of a view rendered and encoded together are those of each alone") {
