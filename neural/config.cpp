@@ -19,6 +19,7 @@ void fields(ModelConfig& m, F&& f) {
   f("near_neighbours", m.near_neighbours, 1, 4096);
   f("neighbours", m.neighbours, 1, 4096);
   f("position_scale", m.position_scale, 1e-6, 1e6);
+  f("position_gradient", m.position_gradient, 0, 1);
   f("reader_radius_m", m.reader_radius, 1e-6, 1e6);
   f("nnopcs", m.nnopcs, 0, 1);
   f("image_channels", m.image_channels, 1, 8192);

@@ -12,6 +12,7 @@
 #include "generator/core/parallel.h"
 #include "generator/progress_bar.h"
 #include "neural/commands_infer.h"
+#include "neural/dataset_source.h"
 #include "neural/training.h"
 
 namespace {
@@ -262,5 +263,6 @@ void start_with_quiet_threads(char** argv) {
 
 int main(int argc, char** argv) {
   start_with_quiet_threads(argv);
+  keep_memory_mapped();
   return run_program("netepu", "use a smaller batch, or [texture] micro_batch", [&] { return run(argc, argv); });
 }

@@ -273,6 +273,12 @@ struct ImageBlock : nn::Module {
   }
 };
 
+// What attention sees of the decoded keypoints. Its positional codes have slopes of a hundred and more, so their gradient drowns
+// that of the keypoint loss for a long time; a configuration may cut it.
+Tensor positions_of(const Pose3d& pose, const ModelConfig& config) {
+  return config.position_gradient ? pose.keypoints : pose.keypoints.detach();
+}
+
 std::vector<std::vector<Tensor>> groups_of(std::initializer_list<std::vector<std::shared_ptr<nn::Module>>> groups) {
   std::vector<std::vector<Tensor>> out;
   for (const auto& group : groups) {
@@ -332,12 +338,12 @@ Pose3d GeometryNetworkImpl::encode(const Tensor& keypoints) {
   pose.code = std::get<0>(p.code_second(torch::relu(p.code_first(x))).max(1));
   pose.keypoints =
       p.keypoint_third(torch::relu(p.keypoint_second(torch::relu(p.keypoint_first(pose.code))))).view({b, k, 3});
-  pose.features = p.decoder->forward(pose.code, pose.keypoints, evaluation);
+  pose.features = p.decoder->forward(pose.code, positions_of(pose, config_), evaluation);
   return pose;
 }
 
 ViewFeatures GeometryNetworkImpl::view(const Pose3d& pose, const CameraBatch& camera) {
-  return parts_->renderer->view(pose.code, pose.keypoints, pose.features, camera, evaluation);
+  return parts_->renderer->view(pose.code, positions_of(pose, config_), pose.features, camera, evaluation);
 }
 
 Tensor GeometryNetworkImpl::attend(const ViewFeatures& view, const Tensor& points) {

@@ -41,14 +41,15 @@ Tensor enlarged(const Tensor& image, int width, int height) {
 Tensor sample(const Tensor& map, const Tensor& points) {
   namespace F = torch::nn::functional;
   const Tensor grid = (points * 2 - 1).view({1, 1, points.size(0), 2});
-  return F::grid_sample(map.unsqueeze(0), grid, F::GridSampleFuncOptions().padding_mode(torch::kBorder).align_corners(false))[0]
+  return F::grid_sample(map.unsqueeze(0), grid,
+                        F::GridSampleFuncOptions().padding_mode(torch::kBorder).align_corners(false))[0]
       .squeeze(1)
       .t();
 }
 
 // As render_maps(), with the network's answers thrown away for the dataset's.
-ViewMaps stand_in_maps(GeometryNetwork& geometry, const AnimalView& view, const PosedAnimal& animal, const FullView& truth,
-                       const RefineOptions& options, std::int64_t* points) {
+ViewMaps stand_in_maps(GeometryNetwork& geometry, const AnimalView& view, const PosedAnimal& animal,
+                       const FullView& truth, const RefineOptions& options, std::int64_t* points) {
   const PointFunction logits = [&](const Tensor& p) {
     geometry->silhouette(geometry->attend(view.features, p.unsqueeze(0)));
     return (sample(truth.mask.unsqueeze(0), p).flatten() - 0.5) * 10;
@@ -116,8 +117,9 @@ SpeedResult measure_speed(Model& model, const SampleSource& source, const SpeedO
         const auto start = std::chrono::steady_clock::now();
         const PosedAnimal animal = pose_animal(model.geometry, v.truth.keypoints, source.describe());
         const AnimalView view = view_animal(model.geometry, animal, v.camera);
-        const ViewMaps maps = options.untrained ? stand_in_maps(model.geometry, view, animal, v.truth, refine, &points)
-                                                : render_maps(model.geometry, view, animal, refine, Surface::nnopcs, &points);
+        const ViewMaps maps = options.untrained
+                                  ? stand_in_maps(model.geometry, view, animal, v.truth, refine, &points)
+                                  : render_maps(model.geometry, view, animal, refine, Surface::nnopcs, &points);
         const auto middle = std::chrono::steady_clock::now();
         encode_coats(model, v.picture.unsqueeze(0), maps.mask, maps.nnopcs);
         const auto end = std::chrono::steady_clock::now();
@@ -166,13 +168,14 @@ nlohmann::json to_json(const SpeedResult& r) {
     }
     variants.push_back(std::move(j));
   }
-  return {{"model", r.model}, {"dataset", r.dataset}, {"width", r.width},         {"height", r.height},   {"threads", r.threads},
-          {"views", r.views}, {"untrained", r.untrained}, {"variants", variants}};
+  return {{"model", r.model},     {"dataset", r.dataset}, {"width", r.width},         {"height", r.height},
+          {"threads", r.threads}, {"views", r.views},     {"untrained", r.untrained}, {"variants", variants}};
 }
 
 std::string markdown(const SpeedResult& r) {
   std::string out = fmt::format(
-      "# Re-identification speed\n\n{}, {} views rendered at {} x {}, {} threads: pose, silhouette and NNOPCS, encoding; one view at "
+      "# Re-identification speed\n\n{}, {} views rendered at {} x {}, {} threads: pose, silhouette and NNOPCS, "
+      "encoding; one view at "
       "a time, median. The paper has 0.5 frames/s at this size on a Titan RTX.\n\n"
       "| variant | frames/s | of a view for geometry, s | points | silhouette differs | NNOPCS mean change | largest "
       "|\n|---|---|---|---|---|---|---|\n",
@@ -186,7 +189,9 @@ std::string markdown(const SpeedResult& r) {
                          v.difference.nnopcs_max);
   }
   if (r.untrained)
-    out += "\nUntrained weights: the network is asked at the points that the dataset's own silhouette and surface call for.\n";
+    out +=
+        "\nUntrained weights: the network is asked at the points that the dataset's own silhouette and surface call "
+        "for.\n";
   return out;
 }
 

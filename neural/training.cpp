@@ -141,10 +141,9 @@ TrainingEnd train_geometry(const SampleSource& source, const NetepuConfig& confi
       const Tensor outline = model.geometry->attend(view, b.silhouette_points), surface = model.geometry->attend(view, b.surface_points);
       const GeometryLosses l = geometry_losses(model.geometry, b, g);
       mean.add(0, l.total().item<double>(), n);
-      // Depth in millimetres: predicted in the range of the decoded keypoints, held against the true one.
-      const Tensor z = view.near_depth.unsqueeze(1) + model.geometry->depth(surface) * view.depth_range.unsqueeze(1);
-      const Tensor truth = b.near_depth.unsqueeze(1) + b.depth * b.depth_range.unsqueeze(1);
-      mean.add(1, 1e3 * (z - truth).abs().mean().item<double>(), n);
+      // In the range of the given keypoints, as the targets are.
+      const Tensor depth_error = (model.geometry->depth(surface) - b.depth) * b.depth_range.unsqueeze(1);
+      mean.add(1, 1e3 * depth_error.abs().mean().item<double>(), n);
       mean.add(2, ((model.geometry->silhouette(outline) > 0) != (b.silhouette > 0.5)).to(torch::kFloat).mean().item<double>(), n);
       const Tensor offset = pose.keypoints * (2 * config.model.reader_radius) - b.keypoints;
       mean.add(3, 1e3 * offset.square().sum(2).sqrt().mean().item<double>(), n);
