@@ -1,7 +1,7 @@
 #pragma once
-// Texture codes of views, and files of them: NAME.npy (NumPy, float32 [N, z], row-major) beside NAME.jsonl, whose first line is a
-// header object ("format", "codes", "features", "model", "dataset", "cameras") and whose further lines are one view each, in the rows'
-// order: {"frame", "camera", "coat", "name"}. frame, camera, coat -1: unknown (a photo).
+// Texture codes of views, and files of them: NAME.npy (NumPy, float32 [N, z], row-major) beside NAME.jsonl, whose first
+// line is a header object ("format", "codes", "features", "model", "dataset", "cameras") and whose further lines are
+// one view each, in the rows' order: {"frame", "camera", "coat", "name"}. frame, camera, coat -1: unknown (a photo).
 #include <torch/torch.h>
 
 #include <filesystem>
@@ -14,11 +14,11 @@
 namespace moomill {
 
 struct CodeSet {
-  torch::Tensor codes;              // [N, z] float
-  std::vector<ViewId> views;        // N
-  std::vector<std::string> names;   // N: whose coat it is; may be empty strings
-  std::string model, dataset;       // where they come from
-  std::string cameras;              // equal where camera numbers mean the same cameras: a hash of their matrices
+  torch::Tensor codes;             // [N, z] float
+  std::vector<ViewId> views;       // N
+  std::vector<std::string> names;  // N: whose coat it is; may be empty strings
+  std::string model, dataset;      // where they come from
+  std::string cameras;             // equal where camera numbers mean the same cameras: a hash of their matrices
 };
 
 // Writes both files; `file` ends in .npy (InputError otherwise).

@@ -49,9 +49,10 @@ std::vector<Split> splits_of(const std::string& name) {
 std::unique_ptr<SampleSource> open_source(const DatasetChoice& choice, bool color, const CommandTools& tools) {
   std::vector<int> coats;
   if (color) coats = choice.coats.empty() ? coats_of_dataset(choice.dataset) : choice.coats;
-  return std::make_unique<SampleSource>(choice.dataset, coats, choice.cache, [&](const std::string& what, std::size_t done, std::size_t of) {
-    if (tools.progress) tools.progress(done, of, "packing " + what);
-  });
+  return std::make_unique<SampleSource>(choice.dataset, coats, choice.cache,
+                                        [&](const std::string& what, std::size_t done, std::size_t of) {
+                                          if (tools.progress) tools.progress(done, of, "packing " + what);
+                                        });
 }
 
 std::vector<ViewId> views_of(const SampleSource& source, const DatasetChoice& choice) {
@@ -59,7 +60,8 @@ std::vector<ViewId> views_of(const SampleSource& source, const DatasetChoice& ch
   for (const Split split : splits_of(choice.split))
     for (const int frame : source.frames(split)) frames.push_back(frame);
   if (frames.empty())
-    input_error("{}: the {} split has no frames; choose another split or a larger dataset", choice.dataset.string(), choice.split);
+    input_error("{}: the {} split has no frames; choose another split or a larger dataset", choice.dataset.string(),
+                choice.split);
   std::sort(frames.begin(), frames.end());
   return chosen_views(frames, source.cameras(), choice.every_frame, choice.every_camera, choice.max_views);
 }
@@ -80,7 +82,8 @@ int finish(const std::vector<Measure>& measures, bool enforce, const CommandTool
     if (!m.at_most && !m.at_least) continue;
     missed += !m.holds();
     print(tools, fmt::format("{:<6} {}: {:.4g}{} (bound: {} {:.4g})\n", m.holds() ? "ok" : "MISSED", m.name, m.value,
-                             m.unit.empty() ? "" : " " + m.unit, m.at_most ? "at most" : "at least", m.at_most ? *m.at_most : *m.at_least));
+                             m.unit.empty() ? "" : " " + m.unit, m.at_most ? "at most" : "at least",
+                             m.at_most ? *m.at_most : *m.at_least));
   }
   return enforce && missed > 0 ? 1 : 0;
 }
@@ -89,18 +92,20 @@ int finish(const std::vector<Measure>& measures, bool enforce, const CommandTool
 Tensor code_of_photo(Model& model, const PhotoChoice& choice) {
   require_texture(model);
   if (choice.mask.empty() || choice.pose.empty())
-    input_error("--photo {}: comes without {}; give both, a photo is encoded with silhouette and pose", choice.picture.string(),
-                choice.mask.empty() ? "--photo-mask" : "--photo-pose");
+    input_error("--photo {}: comes without {}; give both, a photo is encoded with silhouette and pose",
+                choice.picture.string(), choice.mask.empty() ? "--photo-mask" : "--photo-pose");
   const Photo photo = read_photo(choice.picture, choice.mask);
   const PoseFile file = read_pose_file(choice.pose);
   if (!file.keypoints.defined()) input_error("{}: has no \"keypoints\"; add them", choice.pose.string());
-  if (!file.camera) input_error("{}: has no \"camera\"; add the one that took {}", choice.pose.string(), choice.picture.string());
+  if (!file.camera)
+    input_error("{}: has no \"camera\"; add the one that took {}", choice.pose.string(), choice.picture.string());
   if (file.camera->width != photo.mask.size(1) || file.camera->height != photo.mask.size(0))
-    input_error("{}: its camera takes {} x {} pixels, {} has {} x {}; give the camera of that picture", choice.pose.string(),
-                file.camera->width, file.camera->height, choice.picture.string(), photo.mask.size(1), photo.mask.size(0));
+    input_error("{}: its camera takes {} x {} pixels, {} has {} x {}; give the camera of that picture",
+                choice.pose.string(), file.camera->width, file.camera->height, choice.picture.string(),
+                photo.mask.size(1), photo.mask.size(0));
   const PosedAnimal animal = pose_animal(model.geometry, file.keypoints, choice.pose.string());
   const AnimalView view = view_animal(model.geometry, animal, *file.camera);
-  const ViewMaps maps = render_surface(model.geometry, view, photo.mask, {});
+  const ViewMaps maps = render_surface(model.geometry, view, photo.mask, {}, Surface::nnopcs);
   return encode_coats(model, photo.color.unsqueeze(0), maps.mask, maps.nnopcs);
 }
 
@@ -112,7 +117,8 @@ void write_exr(const fs::path& file, const Tensor& planes, const std::vector<std
     const std::int64_t from = std::min<std::int64_t>(static_cast<std::int64_t>(c), data.size(0) - 1);
     channels.push_back({names[c], data.data_ptr<float>() + from * plane, nullptr, 1});
   }
-  const std::vector<std::uint8_t> bytes = encode_exr(static_cast<int>(data.size(2)), static_cast<int>(data.size(1)), channels);
+  const std::vector<std::uint8_t> bytes =
+      encode_exr(static_cast<int>(data.size(2)), static_cast<int>(data.size(1)), channels);
   write_file_atomically(file, bytes.data(), bytes.size());
 }
 
@@ -129,13 +135,16 @@ Image8 with_alpha(const Image8& rgb, const Image8& alpha) {
 // Where the numbers of a render command come from.
 class RenderInputs {
  public:
-  RenderInputs(const RenderCommand& command, Model& model, const CommandTools& tools) : command_(command), model_(model) {
+  RenderInputs(const RenderCommand& command, Model& model, const CommandTools& tools)
+      : command_(command), model_(model) {
     const bool by_number = command.frame || command.camera || command.coat;
     if (by_number && command.dataset.empty())
-      input_error("--frame, --camera and --coat are numbers of a dataset; name it with --dataset, or give files instead");
+      input_error(
+          "--frame, --camera and --coat are numbers of a dataset; name it with --dataset, or give files instead");
     if (command.frame && !command.pose.empty()) input_error("--frame and --pose both give a pose; leave one out");
     if (!command.frame && command.pose.empty()) input_error("no pose is given; add --dataset and --frame, or --pose");
-    if (command.camera && !command.camera_file.empty()) input_error("--camera and --camera-file both give a camera; leave one out");
+    if (command.camera && !command.camera_file.empty())
+      input_error("--camera and --camera-file both give a camera; leave one out");
     if ((command.coat ? 1 : 0) + !command.photo.picture.empty() + !command.code.empty() > 1)
       input_error("--coat, --photo and --code each give a texture; give one of them");
     if (by_number) {
@@ -149,7 +158,8 @@ class RenderInputs {
   }
 
   Tensor keypoints() const {
-    if (command_.frame) return view(*command_.frame, command_.camera ? *command_.camera : source_->cameras().front(), -1).keypoints;
+    if (command_.frame)
+      return view(*command_.frame, command_.camera ? *command_.camera : source_->cameras().front(), -1).keypoints;
     if (!file_.keypoints.defined()) input_error("{}: has no \"keypoints\"; add them", command_.pose.string());
     return file_.keypoints;
   }
@@ -177,10 +187,11 @@ class RenderInputs {
     if (!command_.code.empty()) {
       const CodeSet set = read_codes(command_.code);
       if (command_.code_row < 0 || command_.code_row >= set.codes.size(0))
-        input_error("{}: has {} codes, no row {}; rows count from 0", command_.code.string(), set.codes.size(0), command_.code_row);
+        input_error("{}: has {} codes, no row {}; rows count from 0", command_.code.string(), set.codes.size(0),
+                    command_.code_row);
       if (set.codes.size(1) != model_.config.model.global_features)
-        input_error("{}: its codes have {} numbers, the model's {}; embed with this model", command_.code.string(), set.codes.size(1),
-                    model_.config.model.global_features);
+        input_error("{}: its codes have {} numbers, the model's {}; embed with this model", command_.code.string(),
+                    set.codes.size(1), model_.config.model.global_features);
       return set.codes.slice(0, command_.code_row, command_.code_row + 1);
     }
     if (!command_.coat) return {};
@@ -191,7 +202,8 @@ class RenderInputs {
     require_texture(model_);
     const FullView seen = view(*frame, *camera, *command_.coat);
     const PosedAnimal animal = pose_animal(model_.geometry, seen.keypoints, fmt::format("frame {}", *frame));
-    const ViewMaps maps = render_maps(model_.geometry, view_animal(model_.geometry, animal, camera_of(seen)), animal, {});
+    const ViewMaps maps =
+        render_maps(model_.geometry, view_animal(model_.geometry, animal, camera_of(seen)), animal, {});
     return encode_coats(model_, seen.color.unsqueeze(0), maps.mask, maps.nnopcs);
   }
 
@@ -215,14 +227,16 @@ int run_render(const RenderCommand& command, const CommandTools& tools) {
   Model model = open_model(command.model);
   const RenderInputs inputs(command, model, tools);
   const Tensor code = inputs.code();
-  const std::string origin = command.pose.empty() ? fmt::format("{}, frame {}", command.dataset.string(), *command.frame) : command.pose.string();
+  const std::string origin = command.pose.empty()
+                                 ? fmt::format("{}, frame {}", command.dataset.string(), *command.frame)
+                                 : command.pose.string();
   const PosedAnimal animal = pose_animal(model.geometry, inputs.keypoints(), origin);
   const AnimalView view = view_animal(model.geometry, animal, inputs.camera());
   RefineOptions refine;
   refine.mask_cell = command.every_pixel ? 1 : command.mask_cell;
   refine.surface_cell = command.every_pixel ? 1 : command.surface_cell;
   std::int64_t points = 0;
-  const ViewMaps maps = render_maps(model.geometry, view, animal, refine, &points);
+  const ViewMaps maps = render_maps(model.geometry, view, animal, refine, Surface::depth_and_nnopcs, &points);
   const Image8 mask = picture_of(maps.mask);
   Image8 mask1(mask.width, mask.height, 1);
   for (std::size_t i = 0; i < mask1.data.size(); ++i) mask1.data[i] = mask.data[3 * i];
@@ -236,8 +250,8 @@ int run_render(const RenderCommand& command, const CommandTools& tools) {
     const Tensor color = render_color(model, code, view, animal, maps.mask, refine);
     write_png(command.out / "color.png", with_alpha(picture_of(color[0]), mask1));
   }
-  print(tools, fmt::format("{}: {} x {} pixels, {} of them inside, {} points evaluated\n", command.out.string(), view.camera.width,
-                           view.camera.height, maps.mask.sum().item<std::int64_t>(), points));
+  print(tools, fmt::format("{}: {} x {} pixels, {} of them inside, {} points evaluated\n", command.out.string(),
+                           view.camera.width, view.camera.height, maps.mask.sum().item<std::int64_t>(), points));
   return 0;
 }
 
@@ -263,12 +277,14 @@ int run_eval(const EvalCommand& command, const CommandTools& tools) {
 }
 
 int run_embed(const EmbedCommand& command, const CommandTools& tools) {
-  if (command.out.extension() != ".npy") input_error("--out {}: a file of codes ends in .npy; name it so", command.out.string());
+  if (command.out.extension() != ".npy")
+    input_error("--out {}: a file of codes ends in .npy; name it so", command.out.string());
   Model model = open_model(command.model);
   require_texture(model);
   CodeSet set;
   if (command.data.dataset.empty()) {
-    if (command.photo.picture.empty()) input_error("nothing to embed is given; name a dataset, or a photo with --photo");
+    if (command.photo.picture.empty())
+      input_error("nothing to embed is given; name a dataset, or a photo with --photo");
     set.codes = code_of_photo(model, command.photo);
     set.views = {{-1, -1, -1}};
     set.names = {command.photo_name};
@@ -297,14 +313,16 @@ int run_identify(const IdentifyCommand& command, const CommandTools& tools) {
   const CodeSet queries = read_codes(command.queries);
   const CodeSet gallery = command.gallery.empty() ? queries : read_codes(command.gallery);
   if (gallery.codes.size(0) == 0)
-    input_error("{}: holds no codes to compare with", (command.gallery.empty() ? command.queries : command.gallery).string());
+    input_error("{}: holds no codes to compare with",
+                (command.gallery.empty() ? command.queries : command.gallery).string());
   const std::vector<QueryMatch> matches = match_codes(queries, gallery, distance, disjoint_of(queries, gallery));
   std::string lines;
   bool known = false;
   for (std::size_t i = 0; i < matches.size(); ++i) {
     const ViewId& v = queries.views[i];
     known = known || matches[i].has_match;
-    Json line{{"frame", v.frame}, {"camera", v.camera}, {"coat", v.coat}, {"distance", number_json(matches[i].distance)}};
+    Json line{
+        {"frame", v.frame}, {"camera", v.camera}, {"coat", v.coat}, {"distance", number_json(matches[i].distance)}};
     if (matches[i].nearest >= 0) {
       const auto nearest = static_cast<std::size_t>(matches[i].nearest);
       line["named"] = gallery.names[nearest];
@@ -315,7 +333,8 @@ int run_identify(const IdentifyCommand& command, const CommandTools& tools) {
     }
     lines += line.dump() + "\n";
     if (matches.size() <= 20)
-      print(tools, fmt::format("query {}: {} (distance {:.4f})\n", i, matches[i].nearest < 0 ? "nothing to compare with" : line["named"].get<std::string>(),
+      print(tools, fmt::format("query {}: {} (distance {:.4f})\n", i,
+                               matches[i].nearest < 0 ? "nothing to compare with" : line["named"].get<std::string>(),
                                matches[i].distance));
   }
   if (!command.out.empty()) write_file_atomically(command.out / "names.jsonl", lines);
@@ -328,8 +347,8 @@ int run_identify(const IdentifyCommand& command, const CommandTools& tools) {
 
 int run_speed(const SpeedCommand& command, const CommandTools& tools) {
   if (command.width < 1 || command.height < 1 || command.views < 1 || command.repeats < 1)
-    input_error("{}x{} pixels, {} views, {} repeats: all of them must be 1 or more", command.width, command.height, command.views,
-                command.repeats);
+    input_error("{}x{} pixels, {} views, {} repeats: all of them must be 1 or more", command.width, command.height,
+                command.views, command.repeats);
   SpeedOptions options;
   options.untrained = command.model.model.empty();
   Model model;
@@ -358,8 +377,11 @@ int run_speed(const SpeedCommand& command, const CommandTools& tools) {
   options.surface_cell = command.surface_cell;
   SpeedResult result = measure_speed(model, source, options);
   const std::int64_t parameters = count_parameters(*model.geometry) + count_parameters(*model.texture);
-  result.model = options.untrained ? fmt::format("random weights of {} ({:.1f} million parameters)", command.config.filename().string(), static_cast<double>(parameters) / 1e6)
-                                   : fmt::format("{} ({:.1f} million parameters)", command.model.model.filename().string(), static_cast<double>(parameters) / 1e6);
+  result.model = options.untrained
+                     ? fmt::format("random weights of {} ({:.1f} million parameters)",
+                                   command.config.filename().string(), static_cast<double>(parameters) / 1e6)
+                     : fmt::format("{} ({:.1f} million parameters)", command.model.model.filename().string(),
+                                   static_cast<double>(parameters) / 1e6);
   print(tools, markdown(result));
   if (!command.out.empty()) write_speed(result, command.out);
   return 0;

@@ -16,17 +16,21 @@ using torch::indexing::Slice;
 
 const char* name_of(Split split) {
   switch (split) {
-    case Split::train: return "train";
-    case Split::validate: return "validate";
-    case Split::test: return "test";
+    case Split::train:
+      return "train";
+    case Split::validate:
+      return "validate";
+    case Split::test:
+      return "test";
   }
   return "";
 }
 
-std::vector<ViewId> chosen_views(const std::vector<int>& frames, const std::vector<int>& cameras, int every_frame, int every_camera,
-                                 int max_views) {
+std::vector<ViewId> chosen_views(const std::vector<int>& frames, const std::vector<int>& cameras, int every_frame,
+                                 int every_camera, int max_views) {
   if (every_frame < 1 || every_camera < 1)
-    input_error("every {}-th frame and every {}-th camera cannot be chosen; give steps of 1 or more", every_frame, every_camera);
+    input_error("every {}-th frame and every {}-th camera cannot be chosen; give steps of 1 or more", every_frame,
+                every_camera);
   std::vector<ViewId> all;
   for (std::size_t f = 0; f < frames.size(); f += static_cast<std::size_t>(every_frame))
     for (std::size_t c = 0; c < cameras.size(); c += static_cast<std::size_t>(every_camera))
@@ -47,17 +51,20 @@ void require_fit(const Model& model, const SampleSource& source, const std::stri
     input_error("{}: has {} keypoints a frame, the model {}; use a model trained on such keypoints", dataset,
                 source.keypoint_count(), config.keypoints);
   if (config.nnopcs && !source.has_nnopcs())
-    input_error("{}: has no NNOPCS maps, which the model's figures need; generate it with modality \"nnopcs\", or use a model "
-                "trained with nnopcs = false",
-                dataset);
+    input_error(
+        "{}: has no NNOPCS maps, which the model's figures need; generate it with modality \"nnopcs\", or use a model "
+        "trained with nnopcs = false",
+        dataset);
 }
 
 namespace {
 
-Tensor repeat_color(const Tensor& color, const Tensor& like) { return color.view({3, 1, 1}).expand_as(like); }
+Tensor repeat_color(const Tensor& color, const Tensor& like) {
+  return color.view({3, 1, 1}).expand_as(like);
+}
 
-// What stands behind the animal: the median colour of the picture outside the silhouette. Exact for the even backgrounds that
-// datasets have by default.
+// What stands behind the animal: the median colour of the picture outside the silhouette. Exact for the even
+// backgrounds that datasets have by default.
 Tensor background_color(const Tensor& picture, const Tensor& mask) {
   const Tensor outside = picture.index({Slice(), mask < 0.5});
   if (outside.size(1) == 0) return torch::zeros({3});
@@ -86,7 +93,8 @@ class Evaluator {
       result_.coat_names = source_.coat_names();
       result_.per_coat.resize(result_.coats.size());
     }
-    const std::size_t pictures = std::min<std::size_t>(views.size(), static_cast<std::size_t>(std::max(0, options_.pictures)));
+    const std::size_t pictures =
+        std::min<std::size_t>(views.size(), static_cast<std::size_t>(std::max(0, options_.pictures)));
     std::vector<Shown> shown;
     std::vector<int> frames, cameras;
     for (std::size_t i = 0; i < views.size(); ++i) {
@@ -121,9 +129,9 @@ class Evaluator {
     FullView truth;
     PosedAnimal animal;
     AnimalView view;
-    Tensor own;      // silhouette
-    Tensor either;   // own or true silhouette: where the rest is evaluated
-    ViewMaps maps;   // on `either`
+    Tensor own;     // silhouette
+    Tensor either;  // own or true silhouette: where the rest is evaluated
+    ViewMaps maps;  // on `either`
   };
 
   Seen see(const ViewId& id) {
@@ -147,7 +155,9 @@ class Evaluator {
       g.nnopcs_squared.add(masked_squared_error(s.maps.nnopcs, s.truth.nnopcs, s.truth.mask));
       g.nnopcs_squared_own.add(masked_squared_error(s.maps.nnopcs, s.truth.nnopcs, both));
     }
-    const auto millimetres = [](std::optional<double> metres) { return metres ? std::optional(*metres * 1000) : metres; };
+    const auto millimetres = [](std::optional<double> metres) {
+      return metres ? std::optional(*metres * 1000) : metres;
+    };
     g.depth_mm.add(millimetres(masked_absolute_error(s.maps.depth, s.truth.depth, s.truth.mask)));
     g.depth_mm_own.add(millimetres(masked_absolute_error(s.maps.depth, s.truth.depth, both)));
     g.iou.add(mask_iou(s.own, s.truth.mask));
@@ -179,8 +189,15 @@ class Evaluator {
 
   void evaluate_coats(const Seen& s, Shown* shown) {
     std::vector<Tensor> pictures;
+<<<<<<< HEAD
     for (const int coat : result_.coats) pictures.push_back(source_.view({s.truth.id.frame, s.truth.id.camera, coat}).color);
     const Tensor colors = render_color(model_, codes_of(s, pictures), s.view, s.animal, s.either, options_.refine);
+=======
+    for (const int coat : result_.coats)
+      pictures.push_back(source_.view({s.truth.id.frame, s.truth.id.camera, coat}).color);
+    const Tensor colors =
+        render_color(model_.texture, codes_of(s, pictures), s.view, s.animal, s.either, options_.refine);
+>>>>>>> 7bb6e7138a4a3b7cd5cbcada6ab202d8b21c06e1
     const Tensor everywhere = torch::ones_like(s.truth.mask);
     for (std::size_t i = 0; i < pictures.size(); ++i) {
       const Tensor& picture = pictures[i];
@@ -210,7 +227,8 @@ class Evaluator {
       // Both silhouettes, and a little around them.
       PixelBox box = mask_box(torch::maximum(s.truth.mask, s.maps.mask));
       if (box.empty()) box = {0, 0, s.truth.width, s.truth.height};
-      box = {std::max(0, box.x0 - 4), std::max(0, box.y0 - 4), std::min(s.truth.width, box.x1 + 4), std::min(s.truth.height, box.y1 + 4)};
+      box = {std::max(0, box.x0 - 4), std::max(0, box.y0 - 4), std::min(s.truth.width, box.x1 + 4),
+             std::min(s.truth.height, box.y1 + 4)};
       if (s.maps.nnopcs.defined()) {
         truth.push_back(crop(nnopcs_picture(s.truth.nnopcs, s.truth.mask), box));
         mine.push_back(crop(nnopcs_picture(s.maps.nnopcs, s.maps.mask), box));
@@ -228,8 +246,9 @@ class Evaluator {
           cells.push_back(crop(picture_of(first ? s.pictures[c] : s.composites[c]), box));
           cell_labels.push_back(first ? fmt::format("coat {}", result_.coats[c]) : "model");
         }
-      result_.coat_pictures.push_back(picture_grid(cells, cell_labels, static_cast<int>(s.pictures.size()),
-                                                   fmt::format("frame {} camera {}: truth, model", s.id.frame, s.id.camera)));
+      result_.coat_pictures.push_back(
+          picture_grid(cells, cell_labels, static_cast<int>(s.pictures.size()),
+                       fmt::format("frame {} camera {}: truth, model", s.id.frame, s.id.camera)));
     }
     truth.insert(truth.end(), mine.begin(), mine.end());
     truth_labels.insert(truth_labels.end(), labels.begin(), labels.end());
@@ -249,7 +268,8 @@ EvaluationResult evaluate(Model& model, const SampleSource& source, const Evalua
   check(!options.views.empty(), "there are views to evaluate");
   if (options.color) {
     require_texture(model);
-    if (source.coats().empty()) input_error("{}: was opened without coats; name the coats whose colours are evaluated", source.describe());
+    if (source.coats().empty())
+      input_error("{}: was opened without coats; name the coats whose colours are evaluated", source.describe());
   }
   return Evaluator(model, source, options).run();
 }

@@ -14,19 +14,20 @@
 namespace moomill {
 
 struct EvaluateOptions {
-  std::vector<ViewId> views;              // frames and cameras; coats are those of the source
-  std::string split = "test";             // what the views are of, for the reports
-  bool color = true;                      // false: geometry only
-  bool true_codes = false;                // texture codes from the true mask and NNOPCS instead of the model's own
-  int code_camera_shift = 0;              // textures from the picture of the so-many-th next camera of the same frame; 0: of the same view
-  RefineOptions refine;                   // of the mask; NNOPCS, depth and colour are always evaluated pixel by pixel
-  int pictures = 0;                       // views shown in pictures
+  std::vector<ViewId> views;   // frames and cameras; coats are those of the source
+  std::string split = "test";  // what the views are of, for the reports
+  bool color = true;           // false: geometry only
+  bool true_codes = false;     // texture codes from the true mask and NNOPCS instead of the model's own
+  int code_camera_shift =
+      0;  // textures from the picture of the so-many-th next camera of the same frame; 0: of the same view
+  RefineOptions refine;  // of the mask; NNOPCS, depth and colour are always evaluated pixel by pixel
+  int pictures = 0;      // views shown in pictures
   std::function<void(int done, int all)> progress;
-  std::function<bool()> stop;             // asked between views; true: leaves off and reports what is done
+  std::function<bool()> stop;  // asked between views; true: leaves off and reports what is done
 };
 
-// Errors of NNOPCS and depth are taken at the true silhouette's pixels, as the paper does; `own` at those that the model's own
-// silhouette holds as well.
+// Errors of NNOPCS and depth are taken at the true silhouette's pixels, as the paper does; `own` at those that the
+// model's own silhouette holds as well.
 struct GeometryFigures {
   Mean nnopcs_squared, nnopcs_squared_own;
   Mean depth_mm, depth_mm_own;
@@ -62,8 +63,8 @@ EvaluationResult evaluate(Model& model, const SampleSource& source, const Evalua
 
 // Every n-th of the frames with every n-th of the cameras; of those max_views, one drawn from each of as many equal
 // shares (0: all).
-std::vector<ViewId> chosen_views(const std::vector<int>& frames, const std::vector<int>& cameras, int every_frame, int every_camera,
-                                 int max_views);
+std::vector<ViewId> chosen_views(const std::vector<int>& frames, const std::vector<int>& cameras, int every_frame,
+                                 int every_camera, int max_views);
 // InputError unless the dataset has the model's keypoints, and NNOPCS where the model has.
 void require_fit(const Model& model, const SampleSource& source, const std::string& dataset);
 const char* name_of(Split split);
@@ -73,7 +74,8 @@ struct Published {
   double nnopcs_squared = 1.6e-4;
   double depth_mm = 17.8, depth_mm_nepu = 22.3;
   double psnr = 19.35;
-  std::array<double, 12> psnr_per_coat{17.39, 20.90, 20.73, 21.04, 18.98, 17.42, 18.64, 16.51, 17.44, 20.38, 20.86, 21.91};
+  std::array<double, 12> psnr_per_coat{17.39, 20.90, 20.73, 21.04, 18.98, 17.42,
+                                       18.64, 16.51, 17.44, 20.38, 20.86, 21.91};
 };
 
 std::vector<Measure> measures_of(const EvaluationResult& result);

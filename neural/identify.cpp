@@ -16,7 +16,9 @@ namespace moomill {
 
 using torch::Tensor;
 
-const char* name_of(CodeDistance distance) { return distance == CodeDistance::cosine ? "cosine" : "euclidean"; }
+const char* name_of(CodeDistance distance) {
+  return distance == CodeDistance::cosine ? "cosine" : "euclidean";
+}
 
 Tensor code_distances(const Tensor& queries, const Tensor& gallery, CodeDistance distance) {
   const Tensor q = queries.to(torch::kDouble), g = gallery.to(torch::kDouble);
@@ -32,12 +34,14 @@ Disjoint disjoint_of(const CodeSet& queries, const CodeSet& gallery) {
   return {true, queries.cameras == gallery.cameras};
 }
 
-std::vector<QueryMatch> match_codes(const CodeSet& queries, const CodeSet& gallery, CodeDistance distance, const Disjoint& disjoint,
-                                    const std::vector<int>& coats) {
+std::vector<QueryMatch> match_codes(const CodeSet& queries, const CodeSet& gallery, CodeDistance distance,
+                                    const Disjoint& disjoint, const std::vector<int>& coats) {
   if (queries.codes.size(1) != gallery.codes.size(1))
-    input_error("codes of {} numbers cannot be compared with codes of {}; embed both with the same model", queries.codes.size(1),
-                gallery.codes.size(1));
-  const auto takes_part = [&](int coat) { return coats.empty() || std::find(coats.begin(), coats.end(), coat) != coats.end(); };
+    input_error("codes of {} numbers cannot be compared with codes of {}; embed both with the same model",
+                queries.codes.size(1), gallery.codes.size(1));
+  const auto takes_part = [&](int coat) {
+    return coats.empty() || std::find(coats.begin(), coats.end(), coat) != coats.end();
+  };
   std::vector<QueryMatch> out(queries.views.size());
   constexpr std::int64_t rows = 256;  // queries at a time: their distances to a large gallery stay in bounds
   for (std::int64_t begin = 0; begin < queries.codes.size(0); begin += rows) {
@@ -70,7 +74,9 @@ std::vector<QueryMatch> match_codes(const CodeSet& queries, const CodeSet& galle
         std::sort(own.begin(), own.end());
         std::sort(others.begin(), others.end());
         // Rows of other coats that come before the k-th of its own; equal distances: before.
-        const auto before = [&](double d) { return std::upper_bound(others.begin(), others.end(), d) - others.begin(); };
+        const auto before = [&](double d) {
+          return std::upper_bound(others.begin(), others.end(), d) - others.begin();
+        };
         match.others_before = static_cast<int>(before(own[0]));
         double sum = 0;
         for (std::size_t k = 0; k < own.size(); ++k) sum += (k + 1.0) / (k + 1.0 + static_cast<double>(before(own[k])));
@@ -152,7 +158,8 @@ nlohmann::json to_json(const Reidentification& r) {
 
 std::string rule_of(const Disjoint& d) {
   if (d.frames && d.cameras) return "gallery codes of the query's own pose or own camera are left out";
-  return d.frames ? "gallery codes of the query's own pose are left out (the cameras are others anyway)" : "nothing is left out of the gallery";
+  return d.frames ? "gallery codes of the query's own pose are left out (the cameras are others anyway)"
+                  : "nothing is left out of the gallery";
 }
 
 std::string cells(const Reidentification& r) {
@@ -163,17 +170,25 @@ std::string cells(const Reidentification& r) {
 }  // namespace
 
 std::vector<Measure> measures_of(const IdentificationResult& r) {
-  std::vector<Measure> out{{"rank-1", 100 * r.all.rank1, "%", {}, 95},
-                           {"rank-5", 100 * r.all.rank5, "%", {}, {}},
-                           {"mean average precision", 100 * r.all.mean_precision, "%", {}, {}},
-                           {fmt::format("rank-1 by {} distance", name_of(r.distance == CodeDistance::cosine ? CodeDistance::euclidean
-                                                                                                           : CodeDistance::cosine)),
-                            100 * r.other.rank1, "%", {}, {}},
-                           {"queries", static_cast<double>(r.all.queries), "", {}, {}},
-                           {"queries without a match", static_cast<double>(r.all.without_match), "", {}, {}}};
+  std::vector<Measure> out{
+      {"rank-1", 100 * r.all.rank1, "%", {}, 95},
+      {"rank-5", 100 * r.all.rank5, "%", {}, {}},
+      {"mean average precision", 100 * r.all.mean_precision, "%", {}, {}},
+      {fmt::format("rank-1 by {} distance",
+                   name_of(r.distance == CodeDistance::cosine ? CodeDistance::euclidean : CodeDistance::cosine)),
+       100 * r.other.rank1,
+       "%",
+       {},
+       {}},
+      {"queries", static_cast<double>(r.all.queries), "", {}, {}},
+      {"queries without a match", static_cast<double>(r.all.without_match), "", {}, {}}};
   for (const IdentificationResult::Pair& p : r.pairs) {
     out.push_back({fmt::format("rank-1 within coats {} and {}", p.a, p.b), 100 * p.figures.rank1, "%", {}, 95});
-    out.push_back({fmt::format("mean average precision within coats {} and {}", p.a, p.b), 100 * p.figures.mean_precision, "%", {}, {}});
+    out.push_back({fmt::format("mean average precision within coats {} and {}", p.a, p.b),
+                   100 * p.figures.mean_precision,
+                   "%",
+                   {},
+                   {}});
   }
   for (std::size_t i = 0; i < r.coats.size(); ++i)
     out.push_back({fmt::format("rank-1 of coat {}", r.coats[i]), 100 * r.per_coat[i].rank1, "%", {}, {}});
@@ -208,16 +223,23 @@ nlohmann::json to_json(const IdentificationResult& r) {
 
 std::string markdown(const IdentificationResult& r) {
   std::string out = fmt::format(
-      "# Identification\n\nQueries: {} codes of {}\n\nGallery: {} codes of {}\n\nNearest code by {} distance; {}. Equal distances count "
+      "# Identification\n\nQueries: {} codes of {}\n\nGallery: {} codes of {}\n\nNearest code by {} distance; {}. "
+      "Equal distances count "
       "against the query. Shares in percent.\n\n| queries | rank-1 | rank-5 | mAP | number |\n|---|---|---|---|---|\n",
       r.query_count, r.queries, r.gallery_count, r.gallery, name_of(r.distance), rule_of(r.disjoint));
   out += fmt::format("| all | {} |\n", cells(r.all));
-  for (const IdentificationResult::Pair& p : r.pairs) out += fmt::format("| within coats {} and {} | {} |\n", p.a, p.b, cells(p.figures));
-  for (std::size_t i = 0; i < r.coats.size(); ++i) out += fmt::format("| {} {} | {} |\n", r.coats[i], r.names[i], cells(r.per_coat[i]));
+  for (const IdentificationResult::Pair& p : r.pairs)
+    out += fmt::format("| within coats {} and {} | {} |\n", p.a, p.b, cells(p.figures));
+  for (std::size_t i = 0; i < r.coats.size(); ++i)
+    out += fmt::format("| {} {} | {} |\n", r.coats[i], r.names[i], cells(r.per_coat[i]));
   out += fmt::format("| all, {} distance | {} |\n",
-                     name_of(r.distance == CodeDistance::cosine ? CodeDistance::euclidean : CodeDistance::cosine), cells(r.other));
-  if (r.all.without_match > 0) out += fmt::format("\n{} queries had no code of their own coat to find and are left out.\n", r.all.without_match);
-  out += "\nThe paper shows a t-SNE of its codes, in which novel views fall into the right cluster; it gives no rank or mAP to compare with.\n";
+                     name_of(r.distance == CodeDistance::cosine ? CodeDistance::euclidean : CodeDistance::cosine),
+                     cells(r.other));
+  if (r.all.without_match > 0)
+    out += fmt::format("\n{} queries had no code of their own coat to find and are left out.\n", r.all.without_match);
+  out +=
+      "\nThe paper shows a t-SNE of its codes, in which novel views fall into the right cluster; it gives no rank or "
+      "mAP to compare with.\n";
   return out;
 }
 

@@ -12,7 +12,8 @@ using torch::indexing::Slice;
 PosedAnimal pose_animal(GeometryNetwork& geometry, const Tensor& keypoints, const std::string& what) {
   const int expected = geometry->config().keypoints;
   if (keypoints.dim() != 2 || keypoints.size(1) != 3 || keypoints.size(0) != expected)
-    input_error("{}: has {} keypoints, the model {}; use a model trained on such keypoints", what, keypoints.size(0), expected);
+    input_error("{}: has {} keypoints, the model {}; use a model trained on such keypoints", what, keypoints.size(0),
+                expected);
   if (!torch::isfinite(keypoints).all().item<bool>())
     input_error("{}: a keypoint's coordinate is not a finite number; give every keypoint in world metres", what);
   const Inference guard;
@@ -31,7 +32,8 @@ CameraRecord camera_of(const FullView& view) {
   camera.id = view.id.camera;
   camera.width = view.width;
   camera.height = view.height;
-  const Tensor matrix = view.world_to_camera.to(torch::kDouble).contiguous(), k = view.intrinsics.to(torch::kDouble).contiguous();
+  const Tensor matrix = view.world_to_camera.to(torch::kDouble).contiguous(),
+               k = view.intrinsics.to(torch::kDouble).contiguous();
   std::copy_n(matrix.data_ptr<double>(), 12, camera.world_to_camera.begin());
   camera.fx = k[0][0].item<double>();
   camera.fy = k[1][1].item<double>();
@@ -58,8 +60,8 @@ CameraBatch see_keypoints(const Tensor& keypoints, const CameraRecord& camera) {
 
 AnimalView view_animal(GeometryNetwork& geometry, const PosedAnimal& animal, const CameraRecord& camera) {
   if (camera.width <= 0 || camera.height <= 0)
-    input_error("camera {}: its picture is {} x {} pixels; give a width and a height of 1 or more", camera.id, camera.width,
-                camera.height);
+    input_error("camera {}: its picture is {} x {} pixels; give a width and a height of 1 or more", camera.id,
+                camera.width, camera.height);
   const Inference guard;
   AnimalView view;
   view.camera = camera;
@@ -73,7 +75,8 @@ AnimalView view_animal(GeometryNetwork& geometry, const PosedAnimal& animal, con
 
 PixelBox search_box(const AnimalView& view, const PosedAnimal& animal) {
   const CameraRecord& camera = view.camera;
-  const Tensor x = view.batch.keypoints_2d[0].select(1, 0) * camera.width, y = view.batch.keypoints_2d[0].select(1, 1) * camera.height;
+  const Tensor x = view.batch.keypoints_2d[0].select(1, 0) * camera.width,
+               y = view.batch.keypoints_2d[0].select(1, 1) * camera.height;
   // The animal's radius about its keypoints' centre, as large as it gets at the nearest keypoint.
   const Tensor centre = animal.keypoints.mean(0, true);
   const double radius = (animal.keypoints - centre).square().sum(1).sqrt().max().item<double>();
@@ -109,40 +112,44 @@ std::vector<std::int64_t> keypoint_pixels(const AnimalView& view) {
 
 }  // namespace
 
-Tensor render_mask(GeometryNetwork& geometry, const AnimalView& view, const PosedAnimal& animal, const RefineOptions& options,
-                   std::int64_t* evaluated) {
+Tensor render_mask(GeometryNetwork& geometry, const AnimalView& view, const PosedAnimal& animal,
+                   const RefineOptions& options, std::int64_t* evaluated) {
   const Inference guard;
   const PointFunction logits = [&](const Tensor& points) {
     return geometry->silhouette(geometry->attend(view.features, points.unsqueeze(0))).flatten();
   };
-  return trace_mask(logits, view.camera.width, view.camera.height, search_box(view, animal), keypoint_pixels(view), options,
-                    evaluated);
+  return trace_mask(logits, view.camera.width, view.camera.height, search_box(view, animal), keypoint_pixels(view),
+                    options, evaluated);
 }
 
-Tensor surface_at(GeometryNetwork& geometry, const AnimalView& view, const Tensor& points) {
+Tensor surface_at(GeometryNetwork& geometry, const AnimalView& view, const Tensor& points, Surface surface) {
   const Inference guard;
   const Tensor features = geometry->attend(view.features, points.unsqueeze(0));
-  const Tensor depth = geometry->depth(features)[0].unsqueeze(1);
-  if (!geometry->config().nnopcs) return depth;
-  return torch::cat({depth, geometry->nnopcs(features)[0]}, 1);
+  std::vector<Tensor> parts;
+  if (surface == Surface::depth_and_nnopcs) parts.push_back(geometry->depth(features)[0].unsqueeze(1));
+  if (geometry->config().nnopcs) parts.push_back(geometry->nnopcs(features)[0]);
+  check(!parts.empty(), "a surface of something");
+  return torch::cat(parts, 1);
 }
 
-ViewMaps render_surface(GeometryNetwork& geometry, const AnimalView& view, const Tensor& mask, const RefineOptions& options,
-                        std::int64_t* evaluated) {
+ViewMaps render_surface(GeometryNetwork& geometry, const AnimalView& view, const Tensor& mask,
+                        const RefineOptions& options, Surface surface, std::int64_t* evaluated) {
   const Inference guard;
-  const PointFunction surface = [&](const Tensor& points) { return surface_at(geometry, view, points); };
-  const bool nnopcs = geometry->config().nnopcs;
-  const Tensor values = fill_mask(surface, nnopcs ? 4 : 1, mask, options, evaluated);
   ViewMaps maps;
   maps.mask = mask;
-  maps.depth = (values[0] * view.depth_range + view.near_depth) * mask;
-  if (nnopcs) maps.nnopcs = values.slice(0, 1, 4).clamp(0, 1);
+  const int depths = surface == Surface::depth_and_nnopcs, channels = depths + (geometry->config().nnopcs ? 3 : 0);
+  if (channels == 0) return maps;
+  const PointFunction values_at = [&](const Tensor& points) { return surface_at(geometry, view, points, surface); };
+  const Tensor values = fill_mask(values_at, channels, mask, options, evaluated);
+  if (depths) maps.depth = (values[0] * view.depth_range + view.near_depth) * mask;
+  if (geometry->config().nnopcs) maps.nnopcs = values.slice(0, depths, depths + 3).clamp(0, 1);
   return maps;
 }
 
-ViewMaps render_maps(GeometryNetwork& geometry, const AnimalView& view, const PosedAnimal& animal, const RefineOptions& options,
-                     std::int64_t* evaluated) {
-  return render_surface(geometry, view, render_mask(geometry, view, animal, options, evaluated), options, evaluated);
+ViewMaps render_maps(GeometryNetwork& geometry, const AnimalView& view, const PosedAnimal& animal,
+                     const RefineOptions& options, Surface surface, std::int64_t* evaluated) {
+  return render_surface(geometry, view, render_mask(geometry, view, animal, options, evaluated), options, surface,
+                        evaluated);
 }
 
 Tensor render_color(Model& model, const Tensor& codes, const AnimalView& view, const PosedAnimal& animal,
@@ -178,14 +185,15 @@ Tensor encode_coats(Model& model, const Tensor& colors, const Tensor& mask, cons
   const TextureTraining& training = model.config.texture;
   std::vector<Tensor> images;
   for (const Tensor& color : colors.unbind(0))
-    images.push_back(make_encoder_image(color, mask, model.config.model.nnopcs ? nnopcs : Tensor(), training.encoder_width,
-                                        training.encoder_height));
+    images.push_back(make_encoder_image(color, mask, model.config.model.nnopcs ? nnopcs : Tensor(),
+                                        training.encoder_width, training.encoder_height));
   return model.texture->encode(torch::stack(images)).mean;
 }
 
 void require_texture(const Model& model) {
   if (model.texture.is_empty())
-    input_error("the model has geometry only, no texture networks; train them (netepu train-texture) and give that checkpoint");
+    input_error(
+        "the model has geometry only, no texture networks; train them (netepu train-texture) and give that checkpoint");
 }
 
 MapDifference compare_maps(const ViewMaps& full, const ViewMaps& shortcut) {
@@ -198,6 +206,7 @@ MapDifference compare_maps(const ViewMaps& full, const ViewMaps& shortcut) {
     d.nnopcs_mean = difference.mean().item<double>();
     d.nnopcs_max = difference.max().item<double>();
   }
+  if (!full.depth.defined() || !shortcut.depth.defined()) return d;
   const Tensor difference = (full.depth - shortcut.depth).abs().index({both}).to(torch::kDouble) * 1000;
   d.depth_mean_mm = difference.mean().item<double>();
   d.depth_max_mm = difference.max().item<double>();

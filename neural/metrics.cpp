@@ -19,7 +19,9 @@ void Mean::add(std::optional<double> value) {
   ++count;
 }
 
-double Mean::value() const { return count > 0 ? sum / count : std::numeric_limits<double>::quiet_NaN(); }
+double Mean::value() const {
+  return count > 0 ? sum / count : std::numeric_limits<double>::quiet_NaN();
+}
 
 namespace {
 
@@ -80,7 +82,9 @@ PixelBox mask_box(const Tensor& mask) {
           static_cast<int>(columns[-1].item<std::int64_t>()) + 1, static_cast<int>(rows[-1].item<std::int64_t>()) + 1};
 }
 
-Tensor luma(const Tensor& color) { return 0.299 * color[0] + 0.587 * color[1] + 0.114 * color[2]; }
+Tensor luma(const Tensor& color) {
+  return 0.299 * color[0] + 0.587 * color[1] + 0.114 * color[2];
+}
 
 std::optional<double> ssim(const Tensor& a, const Tensor& b) {
   check(a.sizes() == b.sizes() && a.dim() == 2, "SSIM compares two [h, w] images of one size");

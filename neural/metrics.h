@@ -1,6 +1,7 @@
 #pragma once
-// How far a prediction is from the truth: pure functions of tensors, nothing else. Images [C, h, w] or [h, w], masks [h, w]
-// (above 0.5: inside), colours sRGB in [0, 1]. What cannot be measured (an empty mask) is nullopt, and Mean counts it.
+// How far a prediction is from the truth: pure functions of tensors, nothing else. Images [C, h, w] or [h, w], masks
+// [h, w] (above 0.5: inside), colours sRGB in [0, 1]. What cannot be measured (an empty mask) is nullopt, and Mean
+// counts it.
 #include <torch/torch.h>
 
 #include <optional>
@@ -42,15 +43,16 @@ struct PixelBox {
 };
 PixelBox mask_box(const torch::Tensor& mask);  // the smallest around the mask; empty for an empty mask
 
-torch::Tensor luma(const torch::Tensor& color);  // [3, h, w] to [h, w], Rec. 601 weights on sRGB values, as Wang et al.'s code
+torch::Tensor luma(
+    const torch::Tensor& color);  // [3, h, w] to [h, w], Rec. 601 weights on sRGB values, as Wang et al.'s code
 
-// Structural similarity (Wang, Bovik, Sheikh, Simoncelli, IEEE TIP 2004), [h, w] in [0, 1]: mean over all windows that lie
-// in the image, 11 x 11 Gaussian of sigma 1.5, K1 = 0.01, K2 = 0.03. nullopt where a side is below 11.
+// Structural similarity (Wang, Bovik, Sheikh, Simoncelli, IEEE TIP 2004), [h, w] in [0, 1]: mean over all windows that
+// lie in the image, 11 x 11 Gaussian of sigma 1.5, K1 = 0.01, K2 = 0.03. nullopt where a side is below 11.
 std::optional<double> ssim(const torch::Tensor& a, const torch::Tensor& b);
 inline constexpr int ssim_window = 11;
 
-// SSIM of the luma over the mask's box, grown by half a window so that windows centred on every pixel of it are in, and to a
-// window's size at least (cut at the image's border). a, b: [3, h, w].
+// SSIM of the luma over the mask's box, grown by half a window so that windows centred on every pixel of it are in, and
+// to a window's size at least (cut at the image's border). a, b: [3, h, w].
 std::optional<double> masked_box_ssim(const torch::Tensor& a, const torch::Tensor& b, const torch::Tensor& mask);
 
 }  // namespace moomill

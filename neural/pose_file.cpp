@@ -40,15 +40,21 @@ CameraRecord read_camera(const Json& json, const fs::path& file) {
   for (std::size_t i = 0; i < 12; ++i) camera.world_to_camera[i] = finite(matrix[i], file, "\"world_to_camera\"");
   const auto dot = [&](int a, int b) {
     double sum = 0;
-    for (int i = 0; i < 3; ++i) sum += camera.world_to_camera[static_cast<std::size_t>(4 * a + i)] * camera.world_to_camera[static_cast<std::size_t>(4 * b + i)];
+    for (int i = 0; i < 3; ++i)
+      sum += camera.world_to_camera[static_cast<std::size_t>(4 * a + i)] *
+             camera.world_to_camera[static_cast<std::size_t>(4 * b + i)];
     return sum;
   };
   const auto& m = camera.world_to_camera;
-  const double determinant = m[0] * (m[5] * m[10] - m[6] * m[9]) - m[1] * (m[4] * m[10] - m[6] * m[8]) + m[2] * (m[4] * m[9] - m[5] * m[8]);
+  const double determinant =
+      m[0] * (m[5] * m[10] - m[6] * m[9]) - m[1] * (m[4] * m[10] - m[6] * m[8]) + m[2] * (m[4] * m[9] - m[5] * m[8]);
   for (int a = 0; a < 3; ++a)
     for (int b = 0; b <= a; ++b)
       if (std::abs(dot(a, b) - (a == b)) > 1e-3 || determinant < 0)
-        input_error("{}, \"world_to_camera\": its left three columns are no rotation; give [R | t] with x_camera = R x_world + t", file.string());
+        input_error(
+            "{}, \"world_to_camera\": its left three columns are no rotation; give [R | t] with x_camera = R x_world + "
+            "t",
+            file.string());
   const auto positive = [&](const char* key) {
     const double value = finite(member(json, key, file, "the camera"), file, std::string("\"") + key + "\"");
     if (value <= 0) input_error("{}, \"{}\": {} is not above 0; give pixels", file.string(), key, value);
@@ -61,7 +67,8 @@ CameraRecord read_camera(const Json& json, const fs::path& file) {
   const auto size = [&](const char* key) {
     const double value = positive(key);
     if (value != std::floor(value) || value > 16384)
-      input_error("{}, \"{}\": {} is not a whole number of pixels from 1 to 16384; give one", file.string(), key, value);
+      input_error("{}, \"{}\": {} is not a whole number of pixels from 1 to 16384; give one", file.string(), key,
+                  value);
     return static_cast<int>(value);
   };
   camera.width = size("width");
@@ -73,11 +80,13 @@ CameraRecord read_camera(const Json& json, const fs::path& file) {
 
 PoseFile read_pose_file(const fs::path& file) {
   const Json json = parse_json_file(file);
-  if (!json.is_object()) input_error("{}: is not a JSON object; give {{\"keypoints\": [[x, y, z], ...]}}", file.string());
+  if (!json.is_object())
+    input_error("{}: is not a JSON object; give {{\"keypoints\": [[x, y, z], ...]}}", file.string());
   PoseFile pose;
   if (json.contains("keypoints")) {
     const Json& list = json.at("keypoints");
-    if (!list.is_array() || list.empty()) input_error("{}, \"keypoints\": is not a list of [x, y, z]; give one", file.string());
+    if (!list.is_array() || list.empty())
+      input_error("{}, \"keypoints\": is not a list of [x, y, z]; give one", file.string());
     pose.keypoints = torch::empty({static_cast<std::int64_t>(list.size()), 3});
     for (std::size_t k = 0; k < list.size(); ++k) {
       if (!list[k].is_array() || list[k].size() != 3)
@@ -115,9 +124,11 @@ Photo read_photo(const fs::path& picture, const fs::path& mask) {
                 silhouette.height, picture.string(), image.width, image.height);
   Photo photo;
   photo.color = tensor_of(image);
-  if (photo.color.size(0) < 3) photo.color = photo.color[0].unsqueeze(0).expand({3, image.height, image.width}).contiguous();
+  if (photo.color.size(0) < 3)
+    photo.color = photo.color[0].unsqueeze(0).expand({3, image.height, image.width}).contiguous();
   photo.mask = (tensor_of(silhouette)[0] > 0.5).to(torch::kFloat);
-  if (photo.mask.sum().item<double>() == 0) input_error("{}: no pixel of the mask is above half; paint the animal white", mask.string());
+  if (photo.mask.sum().item<double>() == 0)
+    input_error("{}: no pixel of the mask is above half; paint the animal white", mask.string());
   return photo;
 }
 

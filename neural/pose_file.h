@@ -17,7 +17,8 @@ struct PoseFile {
   torch::Tensor keypoints;             // [K, 3]; undefined where the file has none
   std::optional<CameraRecord> camera;  // where the file has one
 };
-// InputError names file, key and mend: a wrong number of coordinates, NaN (null), a matrix that is no rotation, a size of nothing.
+// InputError names file, key and mend: a wrong number of coordinates, NaN (null), a matrix that is no rotation, a size
+// of nothing.
 PoseFile read_pose_file(const std::filesystem::path& file);
 // The camera of a pose file, or a file that is a camera object itself.
 CameraRecord read_camera_file(const std::filesystem::path& file);
@@ -30,7 +31,8 @@ struct Photo {
   torch::Tensor color;  // [3, h, w] sRGB in [0, 1]
   torch::Tensor mask;   // [h, w], 0 or 1
 };
-// mask: any picture of the same size; above half in its first channel is inside. InputError when sizes differ or it is empty.
+// mask: any picture of the same size; above half in its first channel is inside. InputError when sizes differ or it is
+// empty.
 Photo read_photo(const std::filesystem::path& picture, const std::filesystem::path& mask);
 
 }  // namespace moomill

@@ -36,14 +36,18 @@ Tensor evaluate_in_chunks(const PointFunction& values, const Tensor& points, std
 
 namespace {
 
-bool is_power_of_two(int n) { return n > 0 && (n & (n - 1)) == 0; }
+bool is_power_of_two(int n) {
+  return n > 0 && (n & (n - 1)) == 0;
+}
 
 // Cells of `size` pixels over an image, anchored at its origin; a flag each.
 struct CellGrid {
   int size, columns, rows;
   std::vector<std::uint8_t> flag;
   CellGrid(int cell, int width, int height)
-      : size(cell), columns((width + cell - 1) / cell), rows((height + cell - 1) / cell),
+      : size(cell),
+        columns((width + cell - 1) / cell),
+        rows((height + cell - 1) / cell),
         flag(static_cast<std::size_t>(columns) * rows, 0) {}
   std::uint8_t& at(int column, int row) { return flag[static_cast<std::size_t>(row) * columns + column]; }
 };
@@ -51,17 +55,20 @@ struct CellGrid {
 class MaskTracer {
  public:
   MaskTracer(const PointFunction& logits, int width, int height, const RefineOptions& options)
-      : logits_(logits), width_(width), height_(height), options_(options),
-        known_(static_cast<std::size_t>(width) * height, unknown), filled_(known_.size(), 0), logit_(known_.size(), 0) {}
+      : logits_(logits),
+        width_(width),
+        height_(height),
+        options_(options),
+        known_(static_cast<std::size_t>(width) * height, unknown),
+        filled_(known_.size(), 0),
+        logit_(known_.size(), 0) {}
 
   Tensor run(const PixelBox& box, const std::vector<std::int64_t>& seeds) {
     int cell = first_cell_ = resolved_mask_cell(options_, width_, height_);
     CellGrid active(cell, width_, height_);
     start(active, box);
     for (;; cell /= 2) {
-      for_active(active, [&](int c, int r) {
-        want_corners(cell, c, r);
-      });
+      for_active(active, [&](int c, int r) { want_corners(cell, c, r); });
       evaluate();
       for_active(active, [&](int c, int r) { fill(cell, c, r); });
       if (cell == 1) break;
@@ -114,8 +121,9 @@ class MaskTracer {
 
   void evaluate() {
     if (queue_.empty()) return;
-    const Tensor values =
-        evaluate_in_chunks(logits_, pixel_points(queue_, width_, height_), options_.chunk).to(torch::kFloat).contiguous();
+    const Tensor values = evaluate_in_chunks(logits_, pixel_points(queue_, width_, height_), options_.chunk)
+                              .to(torch::kFloat)
+                              .contiguous();
     check(values.numel() == static_cast<std::int64_t>(queue_.size()), "one logit a point");
     const float* value = values.data_ptr<float>();
     for (const std::int64_t i : queue_) {
@@ -130,7 +138,8 @@ class MaskTracer {
   void start(CellGrid& active, const PixelBox& box) {
     if (box.empty()) return;
     const int cell = active.size;
-    int c0 = std::clamp(box.x0 / cell, 0, active.columns - 1), c1 = std::clamp((box.x1 - 1) / cell, 0, active.columns - 1);
+    int c0 = std::clamp(box.x0 / cell, 0, active.columns - 1),
+        c1 = std::clamp((box.x1 - 1) / cell, 0, active.columns - 1);
     int r0 = std::clamp(box.y0 / cell, 0, active.rows - 1), r1 = std::clamp((box.y1 - 1) / cell, 0, active.rows - 1);
     for (;;) {
       for (int r = r0; r <= r1; ++r)
@@ -181,10 +190,10 @@ class MaskTracer {
   const PointFunction& logits_;
   int width_, height_, first_cell_ = 1;
   const RefineOptions& options_;
-  std::vector<std::int8_t> known_;              // unknown, wanted, or 0 / 1 where evaluated
+  std::vector<std::int8_t> known_;  // unknown, wanted, or 0 / 1 where evaluated
   std::vector<std::uint8_t> filled_;
-  std::vector<float> logit_;                    // where evaluated
-  std::vector<std::int64_t> queue_;             // pixels to evaluate
+  std::vector<float> logit_;         // where evaluated
+  std::vector<std::int64_t> queue_;  // pixels to evaluate
 };
 
 }  // namespace
@@ -193,7 +202,8 @@ Tensor trace_mask(const PointFunction& logits, int width, int height, const Pixe
                   const std::vector<std::int64_t>& seeds, const RefineOptions& options, std::int64_t* evaluated) {
   check(width > 0 && height > 0, "an image has pixels");
   if (!is_power_of_two(resolved_mask_cell(options, width, height)))
-    input_error("cell of the silhouette's grid: {} is not a power of two; give 1, 2, 4, 8, ... or 0", options.mask_cell);
+    input_error("cell of the silhouette's grid: {} is not a power of two; give 1, 2, 4, 8, ... or 0",
+                options.mask_cell);
   MaskTracer tracer(logits, width, height, options);
   const bool everything = options.mask_cell == 1;
   Tensor mask = tracer.run(everything ? PixelBox{0, 0, width, height} : box, seeds);
@@ -204,7 +214,8 @@ Tensor trace_mask(const PointFunction& logits, int width, int height, const Pixe
 Tensor fill_mask(const PointFunction& values, int channels, const Tensor& mask, const RefineOptions& options,
                  std::int64_t* evaluated) {
   if (!is_power_of_two(options.surface_cell))
-    input_error("cell of the surface's grid: {} is not a power of two; give 1 (every pixel), 4, 8, ...", options.surface_cell);
+    input_error("cell of the surface's grid: {} is not a power of two; give 1 (every pixel), 4, 8, ...",
+                options.surface_cell);
   const int height = static_cast<int>(mask.size(0)), width = static_cast<int>(mask.size(1));
   const Tensor inside_tensor = (mask > 0.5).to(torch::kUInt8).contiguous();
   const std::uint8_t* inside = inside_tensor.data_ptr<std::uint8_t>();
@@ -240,24 +251,29 @@ Tensor fill_mask(const PointFunction& values, int channels, const Tensor& mask, 
   if (options.surface_cell >= 4) {
     // Pixels of the mask above and left of a pixel, to know at once whether a cell lies inside.
     std::vector<std::int64_t> integral((static_cast<std::size_t>(width) + 1) * (height + 1), 0);
-    const auto sum_at = [&](int x, int y) -> std::int64_t& { return integral[static_cast<std::size_t>(y) * (width + 1) + x]; };
+    const auto sum_at = [&](int x, int y) -> std::int64_t& {
+      return integral[static_cast<std::size_t>(y) * (width + 1) + x];
+    };
     for (int y = 0; y < height; ++y)
       for (int x = 0; x < width; ++x)
-        sum_at(x + 1, y + 1) = sum_at(x, y + 1) + sum_at(x + 1, y) - sum_at(x, y) + inside[static_cast<std::size_t>(y) * width + x];
+        sum_at(x + 1, y + 1) =
+            sum_at(x, y + 1) + sum_at(x + 1, y) - sum_at(x, y) + inside[static_cast<std::size_t>(y) * width + x];
     std::vector<Cell> cells;
     for (int r = 0; r * options.surface_cell < height; ++r)
       for (int c = 0; c * options.surface_cell < width; ++c) cells.push_back({c, r});
     for (int size = options.surface_cell; size >= 4; size /= 2) {
       std::vector<Cell> whole, rest;
       for (const Cell& cell : cells) {
-        const int x0 = cell.column * size, y0 = cell.row * size, x1 = x0 + size + 1, y1 = y0 + size + 1;  // corners included
+        const int x0 = cell.column * size, y0 = cell.row * size, x1 = x0 + size + 1,
+                  y1 = y0 + size + 1;  // corners included
         const std::int64_t in = sum_at(std::min(x1, width), std::min(y1, height)) - sum_at(x0, std::min(y1, height)) -
                                 sum_at(std::min(x1, width), y0) + sum_at(x0, y0);
         if (in == 0) continue;
         (in == std::int64_t{size + 1} * (size + 1) ? whole : rest).push_back(cell);
       }
       const auto corners = [&](const Cell& cell) {
-        const std::size_t at = static_cast<std::size_t>(cell.row) * size * width + static_cast<std::size_t>(cell.column) * size;
+        const std::size_t at =
+            static_cast<std::size_t>(cell.row) * size * width + static_cast<std::size_t>(cell.column) * size;
         return std::array<std::size_t, 4>{at, at + size, at + static_cast<std::size_t>(size) * width,
                                           at + static_cast<std::size_t>(size) * width + size};
       };
@@ -276,7 +292,8 @@ Tensor fill_mask(const PointFunction& values, int channels, const Tensor& mask, 
         for (int c = 0; c < channels && smooth; ++c) {
           const auto [low, high] = std::minmax({v[0][c], v[1][c], v[2][c], v[3][c]});
           const float mean = (v[0][c] + v[1][c] + v[2][c] + v[3][c]) / 4;
-          smooth = std::abs(centre[c] - mean) <= options.surface_tolerance && high - low <= 16 * options.surface_tolerance;
+          smooth =
+              std::abs(centre[c] - mean) <= options.surface_tolerance && high - low <= 16 * options.surface_tolerance;
         }
         if (!smooth) {
           rest.push_back(cell);
@@ -288,7 +305,8 @@ Tensor fill_mask(const PointFunction& values, int channels, const Tensor& mask, 
             if (state[i] != open) continue;
             const float fx = static_cast<float>(x) / size, fy = static_cast<float>(y) / size;
             for (int c = 0; c < channels; ++c)
-              out[i * channels + c] = (1 - fy) * ((1 - fx) * v[0][c] + fx * v[1][c]) + fy * ((1 - fx) * v[2][c] + fx * v[3][c]);
+              out[i * channels + c] =
+                  (1 - fy) * ((1 - fx) * v[0][c] + fx * v[1][c]) + fy * ((1 - fx) * v[2][c] + fx * v[3][c]);
             state[i] = done;
           }
       }
@@ -304,7 +322,9 @@ Tensor fill_mask(const PointFunction& values, int channels, const Tensor& mask, 
   for (std::size_t i = 0; i < count; ++i)
     if (inside[i] && state[i] == open) want(i);
   evaluate();
-  return torch::from_blob(out.data(), {height, width, channels}).permute({2, 0, 1}).clone(torch::MemoryFormat::Contiguous);
+  return torch::from_blob(out.data(), {height, width, channels})
+      .permute({2, 0, 1})
+      .clone(torch::MemoryFormat::Contiguous);
 }
 
 }  // namespace moomill

@@ -17,7 +17,9 @@ bool Measure::holds() const {
   return (!at_most || value <= *at_most) && (!at_least || value >= *at_least);
 }
 
-nlohmann::json number_json(double value) { return std::isfinite(value) ? nlohmann::json(value) : nlohmann::json(); }
+nlohmann::json number_json(double value) {
+  return std::isfinite(value) ? nlohmann::json(value) : nlohmann::json();
+}
 
 std::string summary_json(const std::string& title, const std::vector<Measure>& measures) {
   nlohmann::json figures = nlohmann::json::array();
@@ -47,9 +49,12 @@ Image8 nnopcs_picture(const Tensor& nnopcs, const Tensor& mask) {
 }
 
 Tensor tensor_of(const Image8& image) {
-  const Tensor bytes = torch::from_blob(const_cast<std::uint8_t*>(image.data.data()), {image.height, image.width, image.channels},
-                                        torch::kUInt8);
-  return (bytes.to(torch::kFloat) / 255).permute({2, 0, 1}).slice(0, 0, image.channels == 4 ? 3 : image.channels).contiguous();
+  const Tensor bytes = torch::from_blob(const_cast<std::uint8_t*>(image.data.data()),
+                                        {image.height, image.width, image.channels}, torch::kUInt8);
+  return (bytes.to(torch::kFloat) / 255)
+      .permute({2, 0, 1})
+      .slice(0, 0, image.channels == 4 ? 3 : image.channels)
+      .contiguous();
 }
 
 Image8 crop(const Image8& image, const PixelBox& box) {

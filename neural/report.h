@@ -1,6 +1,6 @@
 #pragma once
-// What evaluations leave behind: named figures with units as summary.json (the format of every study of moomill), Markdown
-// tables, and tensors as pictures.
+// What evaluations leave behind: named figures with units as summary.json (the format of every study of moomill),
+// Markdown tables, and tensors as pictures.
 #include <torch/torch.h>
 
 #include <filesystem>

@@ -41,28 +41,27 @@ Tensor enlarged(const Tensor& image, int width, int height) {
 Tensor sample(const Tensor& map, const Tensor& points) {
   namespace F = torch::nn::functional;
   const Tensor grid = (points * 2 - 1).view({1, 1, points.size(0), 2});
-  return F::grid_sample(map.unsqueeze(0), grid, F::GridSampleFuncOptions().padding_mode(torch::kBorder).align_corners(false))[0]
+  return F::grid_sample(map.unsqueeze(0), grid,
+                        F::GridSampleFuncOptions().padding_mode(torch::kBorder).align_corners(false))[0]
       .squeeze(1)
       .t();
 }
 
 // As render_maps(), with the network's answers thrown away for the dataset's.
-ViewMaps stand_in_maps(GeometryNetwork& geometry, const AnimalView& view, const PosedAnimal& animal, const FullView& truth,
-                       const RefineOptions& options, std::int64_t* points) {
+ViewMaps stand_in_maps(GeometryNetwork& geometry, const AnimalView& view, const PosedAnimal& animal,
+                       const FullView& truth, const RefineOptions& options, std::int64_t* points) {
   const PointFunction logits = [&](const Tensor& p) {
     geometry->silhouette(geometry->attend(view.features, p.unsqueeze(0)));
     return (sample(truth.mask.unsqueeze(0), p).flatten() - 0.5) * 10;
   };
-  const PointFunction surface = [&](const Tensor& p) {
-    surface_at(geometry, view, p);
-    const Tensor depth = (sample(truth.depth.unsqueeze(0), p) - view.near_depth) / view.depth_range;
-    return truth.nnopcs.defined() && geometry->config().nnopcs ? torch::cat({depth, sample(truth.nnopcs, p)}, 1) : depth;
-  };
   ViewMaps maps;
   maps.mask = trace_mask(logits, view.camera.width, view.camera.height, search_box(view, animal), {}, options, points);
-  const Tensor values = fill_mask(surface, geometry->config().nnopcs ? 4 : 1, maps.mask, options, points);
-  maps.depth = values[0];
-  if (geometry->config().nnopcs) maps.nnopcs = values.slice(0, 1, 4);
+  if (!geometry->config().nnopcs) return maps;
+  const PointFunction surface = [&](const Tensor& p) {
+    surface_at(geometry, view, p, Surface::nnopcs);
+    return sample(truth.nnopcs, p);
+  };
+  maps.nnopcs = fill_mask(surface, 3, maps.mask, options, points);
   return maps;
 }
 
@@ -118,8 +117,9 @@ SpeedResult measure_speed(Model& model, const SampleSource& source, const SpeedO
         const auto start = std::chrono::steady_clock::now();
         const PosedAnimal animal = pose_animal(model.geometry, v.truth.keypoints, source.describe());
         const AnimalView view = view_animal(model.geometry, animal, v.camera);
-        const ViewMaps maps = options.untrained ? stand_in_maps(model.geometry, view, animal, v.truth, refine, &points)
-                                                : render_maps(model.geometry, view, animal, refine, &points);
+        const ViewMaps maps = options.untrained
+                                  ? stand_in_maps(model.geometry, view, animal, v.truth, refine, &points)
+                                  : render_maps(model.geometry, view, animal, refine, Surface::nnopcs, &points);
         const auto middle = std::chrono::steady_clock::now();
         encode_coats(model, v.picture.unsqueeze(0), maps.mask, maps.nnopcs);
         const auto end = std::chrono::steady_clock::now();
@@ -132,9 +132,7 @@ SpeedResult measure_speed(Model& model, const SampleSource& source, const SpeedO
         const auto share = static_cast<double>(views.size());
         variant.difference.mask_share += d.mask_share / share;
         variant.difference.nnopcs_mean += d.nnopcs_mean / share;
-        variant.difference.depth_mean_mm += d.depth_mean_mm / share;
         variant.difference.nnopcs_max = std::max(variant.difference.nnopcs_max, d.nnopcs_max);
-        variant.difference.depth_max_mm = std::max(variant.difference.depth_max_mm, d.depth_max_mm);
       }
     }
     variant.seconds = median(seconds);
@@ -167,32 +165,33 @@ nlohmann::json to_json(const SpeedResult& r) {
       j["silhouette_pixels_that_differ"] = v.difference.mask_share;
       j["nnopcs_mean_change"] = v.difference.nnopcs_mean;
       j["nnopcs_largest_change"] = v.difference.nnopcs_max;
-      j["depth_mean_change_mm"] = v.difference.depth_mean_mm;
-      j["depth_largest_change_mm"] = v.difference.depth_max_mm;
     }
     variants.push_back(std::move(j));
   }
-  return {{"model", r.model}, {"dataset", r.dataset}, {"width", r.width},         {"height", r.height},   {"threads", r.threads},
-          {"views", r.views}, {"untrained", r.untrained}, {"variants", variants}};
+  return {{"model", r.model},     {"dataset", r.dataset}, {"width", r.width},         {"height", r.height},
+          {"threads", r.threads}, {"views", r.views},     {"untrained", r.untrained}, {"variants", variants}};
 }
 
 std::string markdown(const SpeedResult& r) {
   std::string out = fmt::format(
-      "# Re-identification speed\n\n{}, {} views rendered at {} x {}, {} threads: pose, silhouette, depth and NNOPCS, encoding; one view at "
+      "# Re-identification speed\n\n{}, {} views rendered at {} x {}, {} threads: pose, silhouette and NNOPCS, "
+      "encoding; one view at "
       "a time, median. The paper has 0.5 frames/s at this size on a Titan RTX.\n\n"
-      "| variant | frames/s | of a view for geometry, s | points | silhouette differs | NNOPCS mean change | largest | depth mean change "
-      "|\n|---|---|---|---|---|---|---|---|\n",
+      "| variant | frames/s | of a view for geometry, s | points | silhouette differs | NNOPCS mean change | largest "
+      "|\n|---|---|---|---|---|---|---|\n",
       r.model, r.views, r.width, r.height, r.threads);
   for (const SpeedVariant& v : r.variants) {
     out += fmt::format("| {} | {:.2f} | {:.3f} | {:.0f} |", v.name, 1 / v.seconds, v.geometry_seconds, v.points);
     if (r.untrained || &v == &r.variants.front())
-      out += " | | | |\n";
+      out += " | | |\n";
     else
-      out += fmt::format(" {:.3f} % | {:.1e} | {:.1e} | {:.2f} mm |\n", 100 * v.difference.mask_share, v.difference.nnopcs_mean,
-                         v.difference.nnopcs_max, v.difference.depth_mean_mm);
+      out += fmt::format(" {:.3f} % | {:.1e} | {:.1e} |\n", 100 * v.difference.mask_share, v.difference.nnopcs_mean,
+                         v.difference.nnopcs_max);
   }
   if (r.untrained)
-    out += "\nUntrained weights: the network is asked at the points that the dataset's own silhouette and surface call for.\n";
+    out +=
+        "\nUntrained weights: the network is asked at the points that the dataset's own silhouette and surface call "
+        "for.\n";
   return out;
 }
 

@@ -1,5 +1,6 @@
 #pragma once
-// How many views a second netepu re-identifies: silhouette and NNOPCS rendered from the pose, the masked picture encoded.
+// How many views a second netepu re-identifies: silhouette and NNOPCS rendered from the pose, the masked picture
+// encoded.
 #include <filesystem>
 #include <string>
 #include <vector>
@@ -11,11 +12,11 @@ namespace moomill {
 
 struct SpeedOptions {
   int width = 1024, height = 768;
-  int views = 5;           // of the test split (or whichever has frames), spread evenly
-  int repeats = 3;         // of every view; the median of all is reported
-  int surface_cell = 8;    // of the interpolated variant
-  // An untrained model has no silhouette. Then the network is asked at the points that the dataset's own silhouette and NNOPCS
-  // would have it asked at, which costs the same; differences of NNOPCS mean nothing and are left out.
+  int views = 5;         // of the test split (or whichever has frames), spread evenly
+  int repeats = 3;       // of every view; the median of all is reported
+  int surface_cell = 8;  // of the interpolated variant
+  // An untrained model has no silhouette. Then the network is asked at the points that the dataset's own silhouette and
+  // NNOPCS would have it asked at, which costs the same; differences of NNOPCS mean nothing and are left out.
   bool untrained = false;
 };
 
@@ -35,7 +36,8 @@ struct SpeedResult {
   bool untrained = false;
   std::vector<SpeedVariant> variants;
 };
-// Variants: every pixel; coarse to fine; with interpolation; both of these in bfloat16 where the processor has it.
+// Variants: every pixel; coarse to fine; with interpolation; both of these in bfloat16 where the processor has it. No
+// depth: codes need none.
 SpeedResult measure_speed(Model& model, const SampleSource& source, const SpeedOptions& options);
 
 std::vector<Measure> measures_of(const SpeedResult& result);

@@ -41,7 +41,8 @@ constexpr CodeDistance euclidean = CodeDistance::euclidean;
 }  // namespace
 
 TEST_CASE("distances between codes") {
-  const Tensor a = torch::tensor({{3.0f, 0.0f}, {0.0f, 0.0f}}), b = torch::tensor({{0.0f, 4.0f}, {6.0f, 0.0f}, {-1.0f, 0.0f}});
+  const Tensor a = torch::tensor({{3.0f, 0.0f}, {0.0f, 0.0f}}),
+               b = torch::tensor({{0.0f, 4.0f}, {6.0f, 0.0f}, {-1.0f, 0.0f}});
   const Tensor e = code_distances(a, b, euclidean), c = code_distances(a, b, CodeDistance::cosine);
   CHECK(e[0][0].item<double>() == doctest::Approx(5));
   CHECK(e[0][1].item<double>() == doctest::Approx(3));
@@ -54,8 +55,13 @@ TEST_CASE("distances between codes") {
 TEST_CASE("rank and average precision of a ranking worked out by hand") {
   // By distance from the query at 0: own, other, own, other, other, other, own.
   const CodeSet query = codes({{0, 0, {1, 0, 5}}});
-  const CodeSet gallery = codes({{1, 0, {2, 1, 5}}, {2, 0, {2, 1, 6}}, {3, 0, {2, 2, 5}}, {4, 0, {2, 1, 7}}, {5, 0, {2, 2, 6}},
-                                 {6, 0, {2, 2, 7}}, {7, 0, {2, 3, 5}}});
+  const CodeSet gallery = codes({{1, 0, {2, 1, 5}},
+                                 {2, 0, {2, 1, 6}},
+                                 {3, 0, {2, 2, 5}},
+                                 {4, 0, {2, 1, 7}},
+                                 {5, 0, {2, 2, 6}},
+                                 {6, 0, {2, 2, 7}},
+                                 {7, 0, {2, 3, 5}}});
   const std::vector<QueryMatch> m = match_codes(query, gallery, euclidean, {});
   CHECK(m[0].nearest == 0);
   CHECK(m[0].others_before == 0);
@@ -95,10 +101,10 @@ TEST_CASE("ties count against the query: codes that are all alike identify nobod
 
 TEST_CASE("the gallery holds neither the query's pose nor its camera") {
   const CodeSet query = codes({{0, 0, {1, 1, 0}}});
-  const CodeSet gallery = codes({{0.0f, 0, {1, 1, 0}},   // itself
-                                 {0.1f, 0, {1, 2, 0}},   // its pose
-                                 {0.2f, 0, {2, 1, 0}},   // its camera
-                                 {0.3f, 0, {2, 2, 1}},   // another coat
+  const CodeSet gallery = codes({{0.0f, 0, {1, 1, 0}},  // itself
+                                 {0.1f, 0, {1, 2, 0}},  // its pose
+                                 {0.2f, 0, {2, 1, 0}},  // its camera
+                                 {0.3f, 0, {2, 2, 1}},  // another coat
                                  {0.4f, 0, {2, 2, 0}}});
   CHECK(match_codes(query, gallery, euclidean, {true, true})[0].nearest == 3);
   CHECK(match_codes(query, gallery, euclidean, {true, true})[0].precision == doctest::Approx(0.5));

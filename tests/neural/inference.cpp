@@ -1,5 +1,5 @@
-// Rendering, encoding and evaluation with small networks of random weights: shortcuts against the full evaluation, batches against
-// single views, files against tensors, figures against figures worked out anew.
+// Rendering, encoding and evaluation with small networks of random weights: shortcuts against the full evaluation,
+// batches against single views, files against tensors, figures against figures worked out anew.
 #include "neural/inference.h"
 
 #include <fmt/format.h>
@@ -71,8 +71,8 @@ CameraRecord camera_of_size(int width, int height) {
   return resized(test::tiny_camera(10, {}), width, height);
 }
 
-// Teaches the network the ellipsoid's silhouette before one camera, so that its logits are those of a trained one: sharp at a rim,
-// far from zero elsewhere.
+// Teaches the network the ellipsoid's silhouette before one camera, so that its logits are those of a trained one:
+// sharp at a rim, far from zero elsewhere.
 void teach_silhouette(Model& model, const PosedAnimal& animal, const CameraRecord& camera, int frame) {
   const test::TinyOptions options;
   CameraBatch batch = see_keypoints(animal.keypoints, camera);
@@ -80,7 +80,9 @@ void teach_silhouette(Model& model, const PosedAnimal& animal, const CameraRecor
   for (int step = 0; step < 250; ++step) {
     Tensor points = torch::empty({1, 256, 2}), inside = torch::zeros({1, 256});
     for (int i = 0; i < 256; ++i) {
-      const auto unit = [&](std::uint64_t axis) { return to_unit(hash_identity({static_cast<std::uint64_t>(step), static_cast<std::uint64_t>(i), axis})); };
+      const auto unit = [&](std::uint64_t axis) {
+        return to_unit(hash_identity({static_cast<std::uint64_t>(step), static_cast<std::uint64_t>(i), axis}));
+      };
       // Half of them about the animal, half anywhere.
       const double x = i % 2 ? unit(0) : 0.3 + 0.4 * unit(0), y = i % 2 ? unit(1) : 0.3 + 0.4 * unit(1);
       points[0][i][0] = x;
@@ -89,7 +91,8 @@ void teach_silhouette(Model& model, const PosedAnimal& animal, const CameraRecor
     }
     optimiser.zero_grad();
     const ViewFeatures view = model.geometry->view(model.geometry->encode(animal.keypoints.unsqueeze(0)), batch);
-    torch::binary_cross_entropy_with_logits(model.geometry->silhouette(model.geometry->attend(view, points)), inside).backward();
+    torch::binary_cross_entropy_with_logits(model.geometry->silhouette(model.geometry->attend(view, points)), inside)
+        .backward();
     optimiser.step();
   }
   optimiser.zero_grad();
@@ -102,8 +105,11 @@ void shape_silhouette(Model& model, const AnimalView& view, double share) {
   std::vector<std::int64_t> pixels(static_cast<std::size_t>(w) * h);
   for (std::size_t i = 0; i < pixels.size(); ++i) pixels[i] = static_cast<std::int64_t>(i);
   const Tensor logits =
-      model.geometry->silhouette(model.geometry->attend(view.features, pixel_points(pixels, w, h).unsqueeze(0))).flatten();
-  const double cut = std::get<0>(logits.sort())[static_cast<std::int64_t>((1 - share) * static_cast<double>(logits.numel()))].item<double>();
+      model.geometry->silhouette(model.geometry->attend(view.features, pixel_points(pixels, w, h).unsqueeze(0)))
+          .flatten();
+  const double cut =
+      std::get<0>(logits.sort())[static_cast<std::int64_t>((1 - share) * static_cast<double>(logits.numel()))]
+          .item<double>();
   const Tensor bias = model.geometry->named_parameters()["head_silhouette.out_bias"];
   set_parameter(*model.geometry, "head_silhouette.out_bias", bias - cut);
 }
@@ -154,11 +160,12 @@ TEST_CASE("keypoints are projected as by hand, and must lie before the camera") 
 
 TEST_CASE("poses that do not fit the model are refused") {
   Model model = small_model();
-  CHECK_THROWS_WITH_AS(pose_animal(model.geometry, torch::zeros({7, 3}), "pose.json"), doctest::Contains("7 keypoints, the model 10"),
-                       InputError);
+  CHECK_THROWS_WITH_AS(pose_animal(model.geometry, torch::zeros({7, 3}), "pose.json"),
+                       doctest::Contains("7 keypoints, the model 10"), InputError);
   Tensor broken = torch::rand({10, 3});
   broken[4][1] = NAN;
-  CHECK_THROWS_WITH_AS(pose_animal(model.geometry, broken, "pose.json"), doctest::Contains("not a finite number"), InputError);
+  CHECK_THROWS_WITH_AS(pose_animal(model.geometry, broken, "pose.json"), doctest::Contains("not a finite number"),
+                       InputError);
 }
 
 TEST_CASE("a network's silhouette traced coarse to fine is the full one but for a bounded share") {
@@ -168,11 +175,12 @@ TEST_CASE("a network's silhouette traced coarse to fine is the full one but for 
   const PosedAnimal animal = tiny_animal(model);
   const AnimalView view = view_animal(model.geometry, animal, camera);
   std::int64_t all = 0, some = 0;
-  const ViewMaps full = render_maps(model.geometry, view, animal, every_pixel(), &all);
-  const ViewMaps traced = render_maps(model.geometry, view, animal, {}, &some);
+  const ViewMaps full = render_maps(model.geometry, view, animal, every_pixel(), Surface::depth_and_nnopcs, &all);
+  const ViewMaps traced = render_maps(model.geometry, view, animal, {}, Surface::depth_and_nnopcs, &some);
   Tensor truth = torch::zeros({240, 320});
   for (int y = 0; y < 240; ++y)
-    for (int x = 0; x < 320; ++x) truth[y][x] = test::tiny_trace(test::tiny_pose(3), camera, x + 0.5, y + 0.5).has_value();
+    for (int x = 0; x < 320; ++x)
+      truth[y][x] = test::tiny_trace(test::tiny_pose(3), camera, x + 0.5, y + 0.5).has_value();
   REQUIRE(*mask_iou(full.mask, truth) > 0.8);
   const MapDifference d = compare_maps(full, traced);
   CHECK(d.mask_share < 0.002);
@@ -183,7 +191,8 @@ TEST_CASE("a network's silhouette traced coarse to fine is the full one but for 
   RefineOptions coarse;
   coarse.surface_cell = 8;
   std::int64_t fewer = 0;
-  const MapDifference interpolated = compare_maps(full, render_maps(model.geometry, view, animal, coarse, &fewer));
+  const MapDifference interpolated =
+      compare_maps(full, render_maps(model.geometry, view, animal, coarse, Surface::depth_and_nnopcs, &fewer));
   CHECK(interpolated.nnopcs_mean < 1e-3);
   CHECK(interpolated.nnopcs_max > 0);
   CHECK(fewer < some);
@@ -201,7 +210,8 @@ TEST_CASE("maps are what the heads say at the pixels' centres, and nothing outsi
   for (int y = 0; y < 30; y += 3)
     for (int x = 0; x < 40; x += 3) {
       const Tensor point = torch::tensor({{(static_cast<float>(x) + 0.5f) / 40, (static_cast<float>(y) + 0.5f) / 30}});
-      const bool inside = model.geometry->silhouette(model.geometry->attend(view.features, point.unsqueeze(0))).item<float>() > 0;
+      const bool inside =
+          model.geometry->silhouette(model.geometry->attend(view.features, point.unsqueeze(0))).item<float>() > 0;
       CHECK(maps.mask[y][x].item<float>() == (inside ? 1.0f : 0.0f));
       if (!inside) {
         CHECK(maps.depth[y][x].item<float>() == 0);
@@ -213,9 +223,28 @@ TEST_CASE("maps are what the heads say at the pixels' centres, and nothing outsi
       CHECK(maps.depth[y][x].item<float>() ==
             doctest::Approx(surface[0].item<float>() * view.depth_range + view.near_depth).epsilon(1e-4));
       for (int c = 0; c < 3; ++c)
-        CHECK(maps.nnopcs[c][y][x].item<float>() == doctest::Approx(surface[c + 1].clamp(0, 1).item<float>()).epsilon(1e-3));
+        CHECK(maps.nnopcs[c][y][x].item<float>() ==
+              doctest::Approx(surface[c + 1].clamp(0, 1).item<float>()).epsilon(1e-3));
     }
   CHECK(checked > 10);
+}
+
+TEST_CASE("NNOPCS is the same without depth") {
+  Model model = small_model();
+  const PosedAnimal animal = tiny_animal(model);
+  const AnimalView view = view_animal(model.geometry, animal, camera_of_size(40, 30));
+  const Tensor mask = torch::ones({30, 40});
+  const ViewMaps both = render_surface(model.geometry, view, mask, {}),
+                 one = render_surface(model.geometry, view, mask, {}, Surface::nnopcs);
+  CHECK(torch::equal(both.nnopcs, one.nnopcs));
+  CHECK_FALSE(one.depth.defined());
+  NetepuConfig config = small_config();
+  config.model.nnopcs = false;
+  Model plain = small_model(config);
+  const ViewMaps neither =
+      render_surface(plain.geometry, view_animal(plain.geometry, tiny_animal(plain), camera_of_size(40, 30)), mask, {},
+                     Surface::nnopcs);
+  CHECK_FALSE(neither.nnopcs.defined());
 }
 
 TEST_CASE("coats of a view rendered and encoded together are those of each alone") {
@@ -234,7 +263,12 @@ TEST_CASE("coats of a view rendered and encoded together are those of each alone
   for (int i = 0; i < 3; ++i) {
     const Tensor code = encode_coats(model, colors.slice(0, i, i + 1), maps.mask, maps.nnopcs);
     CHECK(torch::allclose(code[0], codes[i], 1e-4, 1e-6));
+<<<<<<< HEAD
     CHECK(torch::allclose(render_color(model, code * 30, view, animal, maps.mask, {})[0], rendered[i], 1e-3, 1e-5));
+=======
+    CHECK(torch::allclose(render_color(model.texture, code * 30, view, animal, maps.mask, {})[0], rendered[i], 1e-3,
+                          1e-5));
+>>>>>>> 7bb6e7138a4a3b7cd5cbcada6ab202d8b21c06e1
   }
   // What lies outside the silhouette does not enter the code.
   const Tensor other = encode_coats(model, colors * maps.mask + 0.7 * (1 - maps.mask), maps.mask, maps.nnopcs);
@@ -267,7 +301,8 @@ TEST_CASE("pose files are read, and broken ones refused in one sentence") {
   CHECK(pose.camera->fx == camera.fx);
   CHECK(read_camera_file(file).width == camera.width);
 
-  const std::string rotation = R"("world_to_camera": [[1,0,0,0],[0,1,0,0],[0,0,1,5]], "fy": 9, "cx": 1, "cy": 1, "height": 8)";
+  const std::string rotation =
+      R"("world_to_camera": [[1,0,0,0],[0,1,0,0],[0,0,1,5]], "fy": 9, "cx": 1, "cy": 1, "height": 8)";
   const std::pair<std::string, std::string> broken[] = {
       {"[1, 2", "not valid JSON"},
       {"[1, 2]", "not a JSON object"},
@@ -329,7 +364,8 @@ TEST_CASE("render writes what the network says, for a pose file, a camera file a
   };
   CHECK(torch::allclose(plane(depth, exr_channel_names(Modality::depth)[0].c_str()), maps.depth, 1e-4, 1e-5));
   for (int c = 0; c < 3; ++c)
-    CHECK(torch::allclose(plane(nnopcs, exr_channel_names(Modality::nnopcs)[static_cast<std::size_t>(c)].c_str()), maps.nnopcs[c], 1e-4, 1e-5));
+    CHECK(torch::allclose(plane(nnopcs, exr_channel_names(Modality::nnopcs)[static_cast<std::size_t>(c)].c_str()),
+                          maps.nnopcs[c], 1e-4, 1e-5));
   CHECK(decode_png8(folder / "out/nnopcs.png").channels == 3);
   const Image8 color = decode_png8(folder / "out/color.png");
   REQUIRE(color.channels == 4);
@@ -364,18 +400,22 @@ TEST_CASE("render writes what the network says, for a pose file, a camera file a
   CHECK(said([](RenderCommand& c) { c.frame = 3; }).find("numbers of a dataset") != std::string::npos);
   CHECK(said([&](RenderCommand& c) { c.code = folder / "codes.npy"; }).find("give one of them") != std::string::npos);
   CHECK(said([](RenderCommand& c) { c.photo.mask.clear(); }).find("--photo-mask") != std::string::npos);
-  CHECK(said([](RenderCommand& c) { c.mask_cell = 3, c.every_pixel = false; }).find("power of two") != std::string::npos);
+  CHECK(said([](RenderCommand& c) { c.mask_cell = 3, c.every_pixel = false; }).find("power of two") !=
+        std::string::npos);
   CHECK(said([](RenderCommand& c) { c.height = 0; }).find("--resolution") != std::string::npos);
-  CHECK(said([](RenderCommand& c) { c.model.precision = "half"; }).find("neither float32 nor bfloat16") != std::string::npos);
+  CHECK(said([](RenderCommand& c) { c.model.precision = "half"; }).find("neither float32 nor bfloat16") !=
+        std::string::npos);
   CHECK(said([&](RenderCommand& c) {
           c.photo = {};
           c.code = folder / "codes.npy";
           c.code_row = 2;
         }).find("no row 2") != std::string::npos);
   write_png(folder / "small.png", picture_of(torch::ones({4, 4})));
-  CHECK(said([&](RenderCommand& c) { c.photo.mask = folder / "small.png"; }).find("mask of the picture's size") != std::string::npos);
+  CHECK(said([&](RenderCommand& c) { c.photo.mask = folder / "small.png"; }).find("mask of the picture's size") !=
+        std::string::npos);
   write_png(folder / "empty.png", picture_of(torch::zeros({36, 48})));
-  CHECK(said([&](RenderCommand& c) { c.photo.mask = folder / "empty.png"; }).find("no pixel of the mask") != std::string::npos);
+  CHECK(said([&](RenderCommand& c) { c.photo.mask = folder / "empty.png"; }).find("no pixel of the mask") !=
+        std::string::npos);
   write_pose(folder / "pose.json", torch::rand({9, 3}), camera);
   CHECK(said([](RenderCommand&) {}).find("has 9 keypoints, the model 10") != std::string::npos);
 }
@@ -415,8 +455,14 @@ TEST_CASE("a whole dataset: evaluated, embedded, identified, timed") {
       depth += 1000 * ((there.depth - truth.depth).abs().sum() / truth.mask.sum()).item<double>() / 2;
       iou += ((own.mask * truth.mask).sum() / torch::maximum(own.mask, truth.mask).sum()).item<double>() / 2;
       const Tensor code = encode_coats(model, truth.color.unsqueeze(0), own.mask, own.nnopcs);
+<<<<<<< HEAD
       const Tensor color = render_color(model, code, view, animal, truth.mask, {})[0];
       const double error = (((color - truth.color) * truth.mask).square().sum() / (3 * truth.mask.sum())).item<double>();
+=======
+      const Tensor color = render_color(model.texture, code, view, animal, truth.mask, {})[0];
+      const double error =
+          (((color - truth.color) * truth.mask).square().sum() / (3 * truth.mask.sum())).item<double>();
+>>>>>>> 7bb6e7138a4a3b7cd5cbcada6ab202d8b21c06e1
       psnr_first += -10 * std::log10(error) / 2;
     }
     CHECK(r.geometry.nnopcs_squared.value() == doctest::Approx(squared).epsilon(1e-4));
@@ -427,7 +473,8 @@ TEST_CASE("a whole dataset: evaluated, embedded, identified, timed") {
     CHECK_FALSE(r.geometry_picture.empty());
     CHECK(r.coat_pictures.size() == 1);
     write_evaluation(r, model, folder / "eval");
-    const Json summary = parse_json_file(folder / "eval/summary.json"), results = parse_json_file(folder / "eval/results.json");
+    const Json summary = parse_json_file(folder / "eval/summary.json"),
+               results = parse_json_file(folder / "eval/results.json");
     CHECK(summary.at("figures").size() > 10);
     CHECK(results.at("geometry").at("nnopcs_mse").at("mean").get<double>() == doctest::Approx(squared).epsilon(1e-4));
     CHECK(results.at("color").at("coats").size() == 2);
@@ -444,7 +491,8 @@ TEST_CASE("a whole dataset: evaluated, embedded, identified, timed") {
     double expected = 0;
     for (const ViewId& id : options.views) {
       const FullView truth = source.view({id.frame, id.camera, 0});
-      const double error = (((truth.color - test::tiny_background) * truth.mask).square().sum() / (3 * truth.mask.sum())).item<double>();
+      const double error =
+          (((truth.color - test::tiny_background) * truth.mask).square().sum() / (3 * truth.mask.sum())).item<double>();
       expected += -10 * std::log10(error) / 2;
     }
     CHECK(r.per_coat[0].psnr_own.value() == doctest::Approx(expected).epsilon(0.01));  // the background is of 8 bits
@@ -454,7 +502,8 @@ TEST_CASE("a whole dataset: evaluated, embedded, identified, timed") {
   SUBCASE("codes from another camera's picture, or from true maps, are other codes") {
     const PosedAnimal first = pose_animal(model.geometry, source.view({2, 3, -1}).keypoints, "frame");
     shape_silhouette(model, view_animal(model.geometry, first, camera_of(source.view({2, 3, -1}))), 0.2);
-    set_parameter(*model.texture, "encoder_code_second.weight", 300 * model.texture->named_parameters()["encoder_code_second.weight"]);
+    set_parameter(*model.texture, "encoder_code_second.weight",
+                  300 * model.texture->named_parameters()["encoder_code_second.weight"]);
     const double own = evaluate(model, source, options).average.psnr.value();
     EvaluateOptions other = options;
     other.code_camera_shift = 8;  // all around: the same camera
@@ -531,12 +580,14 @@ TEST_CASE("a whole dataset: evaluated, embedded, identified, timed") {
     CHECK(run_speed(speed, tools) == 0);
     const Json timed = parse_json_file(folder / "speed/speed.json");
     CHECK(timed.at("variants").size() >= 3);
-    CHECK(timed.at("variants")[1].at("points_evaluated").get<double>() < timed.at("variants")[0].at("points_evaluated").get<double>());
+    CHECK(timed.at("variants")[1].at("points_evaluated").get<double>() <
+          timed.at("variants")[0].at("points_evaluated").get<double>());
   }
 
   SUBCASE("a model of another number of keypoints, or without texture, is refused") {
     Model other = small_model(small_config(9));
-    CHECK(test::message_of([&] { evaluate(other, source, options); }).find("10 keypoints a frame, the model 9") != std::string::npos);
+    CHECK(test::message_of([&] { evaluate(other, source, options); }).find("10 keypoints a frame, the model 9") !=
+          std::string::npos);
     model.texture = nullptr;
     CHECK(test::message_of([&] { evaluate(model, source, options); }).find("geometry only") != std::string::npos);
     options.color = false;
@@ -566,7 +617,8 @@ TEST_CASE("views are chosen by step and number, each once") {
   CHECK((some[1] == ViewId{1, 3, -1}));
   const std::vector<ViewId> few = chosen_views(frames, cameras, 1, 1, 7);
   CHECK(few.size() == 7);
-  for (std::size_t i = 1; i < few.size(); ++i) CHECK(few[i - 1].frame * 4 + few[i - 1].camera < few[i].frame * 4 + few[i].camera);
+  for (std::size_t i = 1; i < few.size(); ++i)
+    CHECK(few[i - 1].frame * 4 + few[i - 1].camera < few[i].frame * 4 + few[i].camera);
   CHECK(chosen_views(frames, cameras, 1, 1, 99).size() == 24);
   CHECK_THROWS_AS(chosen_views(frames, cameras, 0, 1, 0), InputError);
 }

@@ -101,9 +101,9 @@ TEST_CASE("SSIM of constant images is the luminance term") {
 }
 
 TEST_CASE("SSIM of a picture and its mirror in brightness is the negated structure term") {
-  // With y = 1 - x and a mean of one half in every window the luminance term is 1; variances are equal and the covariance is
-  // minus the variance: (c2 - 2 v) / (c2 + 2 v). A checkerboard of 0.5 +- 0.2 has weighted mean and variance known in closed
-  // form: the Gaussian's alternating sum s = sum_i (-1)^i w_i gives a mean of 0.5 +- 0.2 s^2.
+  // With y = 1 - x and a mean of one half in every window the luminance term is 1; variances are equal and the
+  // covariance is minus the variance: (c2 - 2 v) / (c2 + 2 v). A checkerboard of 0.5 +- 0.2 has weighted mean and
+  // variance known in closed form: the Gaussian's alternating sum s = sum_i (-1)^i w_i gives a mean of 0.5 +- 0.2 s^2.
   const int n = 24;
   Tensor sign = torch::ones({n, n}, torch::kDouble);
   for (int y = 0; y < n; ++y)

@@ -125,9 +125,7 @@ TEST_CASE("chunks bound what is evaluated at a time and change nothing") {
 }
 
 TEST_CASE("what is filled is what is evaluated, inside the mask alone") {
-  const PointFunction values = [](const Tensor& p) {
-    return torch::stack({p.select(1, 0), p.select(1, 1) + 2}, 1);
-  };
+  const PointFunction values = [](const Tensor& p) { return torch::stack({p.select(1, 0), p.select(1, 1) + 2}, 1); };
   Tensor mask = torch::zeros({30, 40});
   mask.slice(0, 5, 20).slice(1, 10, 33) = 1;
   std::int64_t evaluated = 0;
