@@ -189,15 +189,10 @@ class Evaluator {
 
   void evaluate_coats(const Seen& s, Shown* shown) {
     std::vector<Tensor> pictures;
-<<<<<<< HEAD
-    for (const int coat : result_.coats) pictures.push_back(source_.view({s.truth.id.frame, s.truth.id.camera, coat}).color);
-    const Tensor colors = render_color(model_, codes_of(s, pictures), s.view, s.animal, s.either, options_.refine);
-=======
     for (const int coat : result_.coats)
       pictures.push_back(source_.view({s.truth.id.frame, s.truth.id.camera, coat}).color);
     const Tensor colors =
-        render_color(model_.texture, codes_of(s, pictures), s.view, s.animal, s.either, options_.refine);
->>>>>>> 7bb6e7138a4a3b7cd5cbcada6ab202d8b21c06e1
+        render_color(model_, codes_of(s, pictures), s.view, s.animal, s.either, options_.refine);
     const Tensor everywhere = torch::ones_like(s.truth.mask);
     for (std::size_t i = 0; i < pictures.size(); ++i) {
       const Tensor& picture = pictures[i];
