@@ -52,11 +52,14 @@ template <class T>
 struct AttentionKernels {
   // Bytes of scratch memory (64-byte aligned) a call needs.
   std::size_t (*workspace)(const AttentionArguments<T>&);
-  // Queries [begin, end) of the frame; out is [M, d].
-  void (*forward)(const AttentionArguments<T>&, std::int64_t begin, std::int64_t end, T* out, void* workspace);
+  // Queries [begin, end) of the frame; out is [M, d]. kept, or null: of the frame, [M, keys of a query, d] numbers of
+  // kept_size bytes (exponentials of the softmax), which spare the backward pass the product with the mix.
+  void (*forward)(const AttentionArguments<T>&, std::int64_t begin, std::int64_t end, T* out, void* kept,
+                  void* workspace);
   void (*backward)(const AttentionArguments<T>&, std::int64_t begin, std::int64_t end, const T* out_gradient,
-                   const AttentionGradients<T>&, void* workspace);
+                   const void* kept, const AttentionGradients<T>&, void* workspace);
   int (*tile_queries)(const AttentionArguments<T>&);  // queries a tile holds
+  std::size_t kept_size;
 };
 
 // For the instruction set in use; float and double. bfloat16: float with the products with the mix in bfloat16, for

@@ -97,8 +97,8 @@ struct Attention {
     }
   };
 
-  // Fills in code, hidden, logit and value for queries [begin, begin + tile.queries).
-  static void prepare(const Arguments& a, std::int64_t begin, int queries, Tile& tile) {
+  // Fills in code, hidden, value and, where asked, logit for queries [begin, begin + tile.queries).
+  static void prepare(const Arguments& a, std::int64_t begin, int queries, bool with_logits, Tile& tile) {
     const int per_query = pairs_per_query(a), d = a.channels, components = a.components;
     tile.queries = queries;
     tile.pairs = queries * per_query;
@@ -129,8 +129,9 @@ struct Attention {
 
     const int rows = code_rows(components);
     product<S>(tile.pairs, d, rows, tile.code, 1, tile.code_stride, a.logit_code, d, Hidden{tile});
-    Format::product_of_rows(tile.pairs, d, d, tile.hidden, tile.ld, a.mix_transposed, tile.ld,
-                            Store<S>{tile.logit, tile.ld});
+    if (with_logits)
+      Format::product_of_rows(tile.pairs, d, d, tile.hidden, tile.ld, a.mix_transposed, tile.ld,
+                              Store<S>{tile.logit, tile.ld});
     product<S>(tile.pairs, d, rows, tile.code, 1, tile.code_stride, a.value_code, d, Value{tile});
   }
 
@@ -143,7 +144,8 @@ struct Attention {
   static constexpr double log2_e = 1.4426950408889634;
 
   // A NaN among the logits may be lost in the maximum, but not in its own exponential, and so not in the sum.
-  static void soften(const Arguments& a, const Tile& tile, T* out) {
+  // kept: where exponentials go for the backward pass, or null.
+  static void soften(const Arguments& a, const Tile& tile, T* out, Element* kept) {
     const int count = pairs_per_query(a);
     for (int t = 0; t < tile.queries; ++t)
       for (int c = 0; c < a.channels; c += S::width) {
@@ -152,6 +154,7 @@ struct Attention {
         auto sum = S::all(0), weighted = S::all(0);
         for (int j = 0; j < count; ++j) {
           const auto e = exp2_of_negative<S>(S::load(logit + j * tile.ld) * S::all(T(log2_e)) - most);
+          if (kept) Format::store(kept + (t * count + j) * std::ptrdiff_t(a.channels) + c, e);
           sum = sum + e;
           weighted = S::fma(e, S::load(value + j * tile.ld), weighted);
         }
@@ -159,34 +162,47 @@ struct Attention {
       }
   }
 
-  static void forward(const Arguments& a, std::int64_t begin, std::int64_t end, T* out, void* memory) {
+  static void forward(const Arguments& a, std::int64_t begin, std::int64_t end, T* out, void* kept, void* memory) {
     char* at = static_cast<char*>(memory);
     Tile tile = lay_out(a, at);
     const int step = tile_queries(a);
+    const std::ptrdiff_t per_query = std::ptrdiff_t(pairs_per_query(a)) * a.channels;
     for (std::int64_t query = begin; query < end; query += step) {
-      prepare(a, query, int(end - query < step ? end - query : step), tile);
-      soften(a, tile, out + query * a.channels);
+      prepare(a, query, int(end - query < step ? end - query : step), true, tile);
+      soften(a, tile, out + query * a.channels, kept ? static_cast<Element*>(kept) + query * per_query : nullptr);
     }
   }
 
-  // From the gradient of out: logit_gradient is filled in, and value becomes its own gradient.
-  static void soften_backward(const Arguments& a, Tile& tile, const T* out_gradient) {
+  // From the gradient of out: logit_gradient is filled in, and value becomes its own gradient. kept: exponentials of
+  // the forward pass; null: from the logits, which they replace.
+  static void soften_backward(const Arguments& a, Tile& tile, const T* out_gradient, const Element* kept) {
     const int count = pairs_per_query(a);
     for (int t = 0; t < tile.queries; ++t)
       for (int c = 0; c < a.channels; c += S::width) {
         T *logit = tile.logit + t * count * tile.ld + c, *value = tile.value + t * count * tile.ld + c;
-        const auto most = greatest(logit, count, tile.ld);
+        const Element* exponential = kept ? kept + t * count * std::ptrdiff_t(a.channels) + c : nullptr;
         auto sum = S::all(0), weighted = S::all(0);
-        for (int j = 0; j < count; ++j) {
-          const auto e = exp2_of_negative<S>(S::load(logit + j * tile.ld) * S::all(T(log2_e)) - most);
-          S::store(logit + j * tile.ld, e);
-          sum = sum + e;
-          weighted = S::fma(e, S::load(value + j * tile.ld), weighted);
+        if (kept) {
+          for (int j = 0; j < count; ++j) {
+            const auto e = Format::load(exponential + j * std::ptrdiff_t(a.channels));
+            sum = sum + e;
+            weighted = S::fma(e, S::load(value + j * tile.ld), weighted);
+          }
+        } else {
+          const auto most = greatest(logit, count, tile.ld);
+          for (int j = 0; j < count; ++j) {
+            const auto e = exp2_of_negative<S>(S::load(logit + j * tile.ld) * S::all(T(log2_e)) - most);
+            S::store(logit + j * tile.ld, e);
+            sum = sum + e;
+            weighted = S::fma(e, S::load(value + j * tile.ld), weighted);
+          }
         }
         const auto out = weighted / sum;
         const auto scaled = S::load(out_gradient + std::ptrdiff_t(t) * a.channels + c) / sum;
         for (int j = 0; j < count; ++j) {
-          const auto value_gradient = S::load(logit + j * tile.ld) * scaled;
+          const auto e =
+              kept ? Format::load(exponential + j * std::ptrdiff_t(a.channels)) : S::load(logit + j * tile.ld);
+          const auto value_gradient = e * scaled;
           const auto v = S::load(value + j * tile.ld);
           S::store(value + j * tile.ld, value_gradient);
           Format::store(tile.logit_gradient + (t * count + j) * tile.ld + c, value_gradient * (v - out));
@@ -243,13 +259,14 @@ struct Attention {
   }
 
   static void backward(const Arguments& a, std::int64_t begin, std::int64_t end, const T* out_gradient,
-                       const Gradients& gradients, void* memory) {
+                       const void* kept, const Gradients& gradients, void* memory) {
     char* at = static_cast<char*>(memory);
     Tile tile = lay_out(a, at);
     const int step = tile_queries(a), d = a.channels, rows = code_rows(a.components);
     for (std::int64_t query = begin; query < end; query += step) {
-      prepare(a, query, int(end - query < step ? end - query : step), tile);
-      soften_backward(a, tile, out_gradient + query * d);
+      const Element* exponentials = kept ? static_cast<const Element*>(kept) + query * pairs_per_query(a) * d : nullptr;
+      prepare(a, query, int(end - query < step ? end - query : step), !kept, tile);
+      soften_backward(a, tile, out_gradient + query * d, exponentials);
       if (gradients.mix)
         Format::product_of_columns(
             d, d, tile.pairs, Format::columns(tile.logit_gradient, tile.pairs, d, tile.ld, tile.logit_columns),
@@ -266,7 +283,7 @@ struct Attention {
     }
   }
 
-  static constexpr AttentionKernels<T> kernels{workspace, forward, backward, tile_queries};
+  static constexpr AttentionKernels<T> kernels{workspace, forward, backward, tile_queries, sizeof(Element)};
 };
 
 }  // namespace
