@@ -9,7 +9,6 @@
 #include <cstring>
 
 #include "generator/core/error.h"
-#include "generator/core/parallel.h"
 #include "generator/core/words.h"
 
 namespace moomill {
@@ -99,7 +98,6 @@ int parse_and_run(CLI::App& app, int argc, char** argv, const int& status) {
 
 int run_program(const char* program, const char* memory_mend, const std::function<int()>& run) {
   program_name = program;
-  keep_memory_flat();
   try {
     log_to_stderr();
     stop_on_signal();

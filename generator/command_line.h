@@ -29,7 +29,7 @@ CLI::App* add_command(CLI::App& app, const char* name, const char* about, const 
 // Parses and runs the command; a mistake is told in one sentence with the mend.
 int parse_and_run(CLI::App& app, int argc, char** argv, const int& status);
 
-// The whole of main(): logging, signals, and errors turned into sentences and exit codes. `program` names it in messages;
+// The whole of main() but for memory: logging, signals, and errors turned into sentences and exit codes. `program` names it in messages;
 // `memory_mend` is what to do when memory runs out.
 int run_program(const char* program, const char* memory_mend, const std::function<int()>& run);
 

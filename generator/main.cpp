@@ -3,6 +3,7 @@
 
 #include "generator/command_line.h"
 #include "generator/commands.h"
+#include "generator/core/parallel.h"
 
 namespace {
 
@@ -173,5 +174,6 @@ int run(int argc, char** argv) {
 }  // namespace
 
 int main(int argc, char** argv) {
+  keep_memory_flat();
   return run_program("moomill", "use fewer --threads or a smaller --resolution", [&] { return run(argc, argv); });
 }

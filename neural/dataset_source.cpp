@@ -107,12 +107,18 @@ void take_size(DatasetSource& s, const std::string& where) {
     input_error("{}: camera {} has {} x {} pixels; make the dataset anew", where, first.id, s.width, s.height);
   for (const CameraRecord& c : s.cameras.front()) s.camera_ids.push_back(c.id);
   for (const auto& list : s.cameras) {
-    for (const CameraRecord& c : list)
+    for (const CameraRecord& c : list) {
+      bool finite = c.fx > 0 && c.fy > 0 && std::isfinite(c.fx + c.fy + c.cx + c.cy);
+      for (const double value : c.world_to_camera) finite = finite && std::isfinite(value);
+      if (!finite)
+        input_error("{}: camera {} has a lens or a place that is no number; make the dataset anew", where, c.id);
       if (c.width != s.width || c.height != s.height)
-        input_error("{}: camera {} has {} x {} pixels where camera {} has {} x {}; make the dataset with one resolution", where,
-                    c.id, c.width, c.height, first.id, s.width, s.height);
-    if (list.size() != s.camera_ids.size() ||
-        !std::equal(list.begin(), list.end(), s.camera_ids.begin(), [](const CameraRecord& c, int id) { return c.id == id; }))
+        input_error(
+            "{}: camera {} has {} x {} pixels where camera {} has {} x {}; make the dataset with one resolution", where,
+            c.id, c.width, c.height, first.id, s.width, s.height);
+    }
+    if (list.size() != s.camera_ids.size() || !std::equal(list.begin(), list.end(), s.camera_ids.begin(),
+                                                          [](const CameraRecord& c, int id) { return c.id == id; }))
       input_error("{}: frames have different sets of cameras; make the dataset with the same ones for all", where);
   }
 }
@@ -150,12 +156,19 @@ DatasetSource from_manifest(const fs::path& folder) {
 
   s.mask_template = need(d.template_of("silhouette"), folder, "silhouettes", "silhouette");
   s.depth_template = need(d.template_of("depth"), folder, "depth", "depth");
-  s.nnopcs_template = d.template_of("nnopcs");
-  if (s.nnopcs_template.empty()) s.nnopcs_template = d.template_of("nnopcs8");
+  s.nnopcs_template = d.template_of("nnopcs");  // floats; who wants to save space deletes them and keeps the 8-bit ones
+  const int first_camera = m.cameras.empty() ? 0 : m.cameras.front().id;
+  std::error_code ignored;
+  if (const std::string eight = d.template_of("nnopcs8");
+      !eight.empty() &&
+      (s.nnopcs_template.empty() || (!fs::exists(s.path(s.nnopcs_template, s.frames.front(), first_camera), ignored) &&
+                                     fs::exists(s.path(eight, s.frames.front(), first_camera), ignored))))
+    s.nnopcs_template = eight;
   for (int coat : m.coat_indices) {
     const std::string path = d.template_of("rgb", std::to_string(coat));
     if (path.empty()) continue;
-    s.coats.emplace_back(coat, coat >= 0 && coat < static_cast<int>(m.coats.size()) ? m.coats[coat] : fmt::format("coat {}", coat));
+    s.coats.emplace_back(
+        coat, coat >= 0 && coat < static_cast<int>(m.coats.size()) ? m.coats[coat] : fmt::format("coat {}", coat));
     s.coat_templates.push_back(path);
   }
   if (m.keypoint_names.empty() || d.template_of("keypoints_csv").empty())
@@ -226,12 +239,14 @@ std::vector<CameraRecord> read_parameters(const fs::path& file) {
   const Ini ini = read_ini(file);
   // A camera's own lens, where it has one, stands in its own section.
   const auto value = [&](const std::string& section, const std::string& key, bool shared) {
-    for (const std::string& name : shared ? std::vector<std::string>{section, "intrinsics"} : std::vector<std::string>{section}) {
+    for (const std::string& name :
+         shared ? std::vector<std::string>{section, "intrinsics"} : std::vector<std::string>{section}) {
       const auto found = ini.find(name);
       if (found == ini.end() || !found->second.count(key)) continue;
       double number = 0;
       if (!parse_number(found->second.at(key), number) || !std::isfinite(number))
-        input_error("{}: \"{}\" of [{}] is not a number (\"{}\"); mend it", file.string(), key, name, found->second.at(key));
+        input_error("{}: \"{}\" of [{}] is not a number (\"{}\"); mend it", file.string(), key, name,
+                    found->second.at(key));
       return number;
     }
     input_error("{}: [{}] has no \"{}\"; add it", file.string(), shared ? "intrinsics" : section, key);
@@ -276,8 +291,9 @@ Manifest manifest_of_folders(const fs::path& folder) {
     if (tail.empty() || tail == ".blend") species.insert(name.substr(0, at));
   }
   if (species.empty())
-    input_error("{}: holds no dataset (there is neither {} nor a folder <species>{}); name the folder that `generate -o` made",
-                folder.string(), manifest_name, middle);
+    input_error(
+        "{}: holds no dataset (there is neither {} nor a folder <species>{}); name the folder that `generate -o` made",
+        folder.string(), manifest_name, middle);
   Manifest m;
   m.species = species.count("cow") ? "cow" : *species.begin();
   if (m.species != "cow") {
@@ -340,14 +356,16 @@ DatasetSource from_folders(const fs::path& folder) {
   std::error_code error;
   for (const fs::path& file : {csv, cfg})
     if (!fs::exists(file, error))
-      input_error("{}: is missing, and there is no {}; name the folder that `generate -o` made", file.string(), manifest_name);
+      input_error("{}: is missing, and there is no {}; name the folder that `generate -o` made", file.string(),
+                  manifest_name);
   std::vector<CameraRecord> cameras = read_parameters(cfg);
   std::erase_if(cameras, [&](const CameraRecord& c) {
     return !fs::is_directory((folder / file_of(m, Modality::silhouette, 0, c.id, -1, -1)).parent_path(), error);
   });
   if (cameras.empty())
-    input_error("{}: has no section [extrinsics_Camera.<number>] of a camera with a folder beside it; make the dataset anew",
-                cfg.string());
+    input_error(
+        "{}: has no section [extrinsics_Camera.<number>] of a camera with a folder beside it; make the dataset anew",
+        cfg.string());
   s.cameras.push_back(cameras);
   take_size(s, cfg.string());
 
@@ -361,7 +379,8 @@ DatasetSource from_folders(const fs::path& folder) {
   s.splits = make_splits(s.frames);
   take_keypoints(s, csv, 0);
   if (!fs::exists(s.path(s.depth_template, s.frames.front(), first), error))
-    input_error("{}: is missing; make the dataset with depth", s.path(s.depth_template, s.frames.front(), first).string());
+    input_error("{}: is missing; make the dataset with depth",
+                s.path(s.depth_template, s.frames.front(), first).string());
   for (const std::string& path : {path_template(m, Modality::nnopcs, -1, -1), nnopcs8_template(m)})
     if (s.nnopcs_template.empty() && fs::exists(s.path(path, s.frames.front(), first), error)) s.nnopcs_template = path;
   for (int coat : m.coat_indices) {
@@ -398,7 +417,8 @@ DatasetSource read_dataset_source(const fs::path& given) {
   if (!fs::is_directory(folder, error))
     input_error("{}: is not a folder; name the folder of a dataset", given.string());
   // An unfinished dataset of ours has the folders too: open_dataset() says what to do about it.
-  if (fs::exists(folder / manifest_name, error) || fs::exists(folder / journal_name, error)) return from_manifest(folder);
+  if (fs::exists(folder / manifest_name, error) || fs::exists(folder / journal_name, error))
+    return from_manifest(folder);
   return from_folders(folder);
 }
 
@@ -422,6 +442,12 @@ std::string why_not_rings(const DatasetSource& s) {
     }
   }
   return {};
+}
+
+std::vector<int> coats_of_dataset(const std::filesystem::path& dataset) {
+  std::vector<int> coats;
+  for (const auto& [index, name] : read_dataset_source(dataset).coats) coats.push_back(index);
+  return coats;
 }
 
 }  // namespace moomill

@@ -10,6 +10,7 @@
 #include "generator/command_line.h"
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
+#include "neural/dataset_source.h"
 #include "neural/training.h"
 
 namespace {
@@ -114,5 +115,6 @@ void start_with_quiet_threads(char** argv) {
 
 int main(int argc, char** argv) {
   start_with_quiet_threads(argv);
+  keep_memory_mapped();
   return run_program("netepu", "use a smaller batch, or [texture] micro_batch", [&] { return run(argc, argv); });
 }

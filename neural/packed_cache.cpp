@@ -2,6 +2,7 @@
 
 #include <fcntl.h>
 #include <omp.h>
+#include <sys/file.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -45,7 +46,8 @@ static_assert(sizeof(Header) == 64);
 std::uint64_t hash_index(Header header, const std::uint64_t* first) {
   header.index_hash = 0;
   std::uint64_t h = hash_text({reinterpret_cast<const char*>(&header), sizeof header});
-  if (first) h = hash_identity({h, hash_text({reinterpret_cast<const char*>(first), (header.views + 1) * sizeof *first})});
+  if (first)
+    h = hash_identity({h, hash_text({reinterpret_cast<const char*>(first), (header.views + 1) * sizeof *first})});
   return h;
 }
 
@@ -109,7 +111,8 @@ class Output {
 // Reports progress now and then, from any thread.
 class Progress {
  public:
-  Progress(const PackProgress& report, std::string what, std::size_t of) : report_(report), what_(std::move(what)), of_(of) {}
+  Progress(const PackProgress& report, std::string what, std::size_t of)
+      : report_(report), what_(std::move(what)), of_(of) {}
   void step() {
     const std::size_t done = done_.fetch_add(1) + 1;
     if (!report_ || (done % 64 != 0 && done != of_)) return;
@@ -129,8 +132,8 @@ class Progress {
 
 void require_size(const DatasetSource& s, int width, int height, const fs::path& file) {
   if (width != s.width || height != s.height)
-    input_error("{}: has {} x {} pixels where the dataset's cameras have {} x {}; make the file anew", file.string(), width,
-                height, s.width, s.height);
+    input_error("{}: has {} x {} pixels where the dataset's cameras have {} x {}; make the file anew", file.string(),
+                width, height, s.width, s.height);
 }
 
 struct ViewPlace {
@@ -163,7 +166,8 @@ void list_pixels(const std::uint64_t* bits, int width, int height, std::vector<s
         out.push_back(static_cast<std::uint32_t>(y * width + static_cast<int>(w) * 64 + std::countr_zero(rest)));
 }
 
-void read_depth(const DatasetSource& s, std::size_t v, const std::vector<std::uint32_t>& pixels, std::vector<float>& out) {
+void read_depth(const DatasetSource& s, std::size_t v, const std::vector<std::uint32_t>& pixels,
+                std::vector<float>& out) {
   const auto [frame, camera] = place_of(s, v);
   const fs::path file = s.path(s.depth_template, frame, camera);
   const ExrImage image = decode_exr(file);
@@ -176,19 +180,21 @@ void read_depth(const DatasetSource& s, std::size_t v, const std::vector<std::ui
   for (std::size_t i = 0; i < pixels.size(); ++i) {
     out[i] = image.data[channel][pixels[i]];
     if (!(out[i] > 0) || !std::isfinite(out[i]))
-      input_error("{}: has depth {} at pixel ({}, {}), inside the silhouette; make the file anew", file.string(), out[i],
-                  pixels[i] % s.width, pixels[i] / s.width);
+      input_error("{}: has depth {} at pixel ({}, {}), inside the silhouette; make the file anew", file.string(),
+                  out[i], pixels[i] % s.width, pixels[i] / s.width);
   }
 }
 
-void read_nnopcs(const DatasetSource& s, std::size_t v, const std::vector<std::uint32_t>& pixels, std::vector<float>& out) {
+void read_nnopcs(const DatasetSource& s, std::size_t v, const std::vector<std::uint32_t>& pixels,
+                 std::vector<float>& out) {
   const auto [frame, camera] = place_of(s, v);
   const fs::path file = s.path(s.nnopcs_template, frame, camera);
   out.resize(3 * pixels.size());
   if (file.extension() == ".png") {
     const Image8 image = decode_png8(file);
     require_size(s, image.width, image.height, file);
-    if (image.channels < 3) input_error("{}: has {} channels where 3 belong; make the file anew", file.string(), image.channels);
+    if (image.channels < 3)
+      input_error("{}: has {} channels where 3 belong; make the file anew", file.string(), image.channels);
     for (std::size_t i = 0; i < pixels.size(); ++i)
       for (int c = 0; c < 3; ++c) out[3 * i + c] = image.data[std::size_t{pixels[i]} * image.channels + c] / 255.0f;
     return;
@@ -221,6 +227,35 @@ bool is_ours(const fs::path& file) {
     input_error("{}: is not a cache of netepu; move it away or choose another folder for the cache", file.string());
   return got >= 0;
 }
+
+// Packing is for one process at a time: a second one waits, and finds the work done. What a killed one left behind is
+// removed.
+class PackingLock {
+ public:
+  explicit PackingLock(const fs::path& folder) {
+    std::error_code error;
+    fs::create_directories(folder, error);
+    if (error)
+      run_error("{}: cannot be made: {}; choose another place for the cache", folder.string(), error.message());
+    descriptor_ = ::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+    if (descriptor_ < 0)
+      run_error("{}: cannot be opened: {}; choose another place for the cache", folder.string(), std::strerror(errno));
+    int result;
+    do result = ::flock(descriptor_, LOCK_EX);
+    while (result != 0 && errno == EINTR);
+    if (result != 0) return;  // a file system without locks: two may pack at once, and come to the same file
+    std::vector<fs::path> left;
+    for (fs::directory_iterator i(folder, error), end; !error && i != end; i.increment(error))
+      if (is_temporary(i->path())) left.push_back(i->path());
+    for (const fs::path& file : left) fs::remove(file, error);
+  }
+  ~PackingLock() { ::close(descriptor_); }
+  PackingLock(const PackingLock&) = delete;
+  PackingLock& operator=(const PackingLock&) = delete;
+
+ private:
+  int descriptor_ = -1;
+};
 
 bool read_header(const MappedFile& map, Header& header) {
   if (map.size() < sizeof header) return false;
@@ -285,8 +320,8 @@ PackedGeometry::PackedGeometry(const DatasetSource& s, const fs::path& folder, c
       height_(s.height),
       views_(s.frames.size() * s.camera_ids.size()),
       words_(words_per_row(s.width) * s.height),
-      identity_(hash_identity({hash_text(s.identity), static_cast<std::uint64_t>(s.width), static_cast<std::uint64_t>(s.height),
-                               views_, hash_text(s.nnopcs_template)})) {
+      identity_(hash_identity({hash_text(s.identity), static_cast<std::uint64_t>(s.width),
+                               static_cast<std::uint64_t>(s.height), views_, hash_text(s.nnopcs_template)})) {
   const fs::path file = folder / "geometry.pack";
   const bool has_nnopcs = !s.nnopcs_template.empty();
   name_ = file.string();
@@ -305,6 +340,8 @@ PackedGeometry::PackedGeometry(const DatasetSource& s, const fs::path& folder, c
     nnopcs_ = has_nnopcs ? reinterpret_cast<const float*>(map_.data() + parts.nnopcs) : nullptr;
     return true;
   };
+  if (is_ours(file) && open()) return;
+  const PackingLock lock(folder);
   if (is_ours(file) && open()) return;
 
   // Masks first: they say how much room every view takes.
@@ -336,8 +373,13 @@ PackedGeometry::PackedGeometry(const DatasetSource& s, const fs::path& folder, c
       }
       progress.step();
     });
-    Header h{.version = version, .identity = identity_, .width = width_, .height = height_, .views = views_,
-             .pixels = first[views_], .nnopcs = has_nnopcs ? 1u : 0u};
+    Header h{.version = version,
+             .identity = identity_,
+             .width = width_,
+             .height = height_,
+             .views = views_,
+             .pixels = first[views_],
+             .nnopcs = has_nnopcs ? 1u : 0u};
     std::memcpy(h.mark, magic, sizeof magic);
     h.index_hash = hash_index(h, first.data());
     out.write(0, &h, sizeof h);
@@ -369,6 +411,8 @@ PackedCoat::PackedCoat(const DatasetSource& s, const PackedGeometry& geometry, i
     return true;
   };
   if (is_ours(file) && open()) return;
+  const PackingLock lock(folder);
+  if (is_ours(file) && open()) return;
 
   make_file_atomically(file, [&](const fs::path& temporary) {
     Output out(temporary, file);
@@ -384,7 +428,12 @@ PackedCoat::PackedCoat(const DatasetSource& s, const PackedGeometry& geometry, i
       out.write(sizeof(Header) + 3 * geometry.first(v), values.data(), values.size());
       progress.step();
     });
-    Header h{.version = version, .coat = coat, .identity = identity, .width = s.width, .height = s.height, .views = views,
+    Header h{.version = version,
+             .coat = coat,
+             .identity = identity,
+             .width = s.width,
+             .height = s.height,
+             .views = views,
              .pixels = pixels};
     std::memcpy(h.mark, magic, sizeof magic);
     h.index_hash = hash_index(h, nullptr);

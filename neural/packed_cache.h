@@ -1,6 +1,6 @@
 #pragma once
-// The packed form of a dataset: foreground pixels only, memory-mapped. One file for the geometry of all views, one per coat.
-// A file carries the identity of what it was packed from, and is made anew when that changed.
+// The packed form of a dataset: foreground pixels only, memory-mapped. One file for the geometry of all views, one per
+// coat. A file carries the identity of what it was packed from, and is made anew when that changed.
 #include <cstddef>
 #include <cstdint>
 #include <filesystem>
@@ -14,11 +14,14 @@ namespace moomill {
 
 using PackProgress = std::function<void(const std::string& what, std::size_t done, std::size_t of)>;
 
-// Calls body(i) for i in [0, count) on this thread's OpenMP team. Of several exceptions the one of the lowest i is thrown.
+// Calls body(i) for i in [0, count) on this thread's OpenMP team. Of several exceptions the one of the lowest i is
+// thrown.
 void for_each_index(std::size_t count, const std::function<void(std::size_t)>& body);
 
 // Bit rows of a mask are padded to whole 64-bit words; bit x % 64 of word x / 64 is pixel x.
-inline std::size_t words_per_row(int width) { return (static_cast<std::size_t>(width) + 63) / 64; }
+inline std::size_t words_per_row(int width) {
+  return (static_cast<std::size_t>(width) + 63) / 64;
+}
 
 // A file mapped read-only.
 class MappedFile {
@@ -40,13 +43,14 @@ class MappedFile {
 class PackedGeometry {
  public:
   PackedGeometry() = default;
-  // Opens <folder>/geometry.pack, packing first where it is missing or stale. InputError names a picture that does not fit.
+  // Opens <folder>/geometry.pack, packing first where it is missing or stale. InputError names a picture that does not
+  // fit.
   PackedGeometry(const DatasetSource& source, const std::filesystem::path& folder, const PackProgress& progress);
   std::size_t views() const { return views_; }
-  std::size_t first(std::size_t v) const { return first_[v]; }                     // pixels before those of this view
-  std::size_t count(std::size_t v) const { return first_[v + 1] - first_[v]; }     // foreground pixels
-  const std::uint64_t* mask(std::size_t v) const { return mask_ + v * words_; }    // [h, words_per_row(w)]
-  const float* depth(std::size_t v) const { return depth_ + first_[v]; }           // [count] metres, in raster order
+  std::size_t first(std::size_t v) const { return first_[v]; }                   // pixels before those of this view
+  std::size_t count(std::size_t v) const { return first_[v + 1] - first_[v]; }   // foreground pixels
+  const std::uint64_t* mask(std::size_t v) const { return mask_ + v * words_; }  // [h, words_per_row(w)]
+  const float* depth(std::size_t v) const { return depth_ + first_[v]; }         // [count] metres, in raster order
   const float* nnopcs(std::size_t v) const { return nnopcs_ ? nnopcs_ + 3 * first_[v] : nullptr; }  // [count, 3]
   // Pixels y * width + x of the foreground, in raster order.
   void pixels(std::size_t v, std::vector<std::uint32_t>& out) const;

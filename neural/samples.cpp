@@ -1,17 +1,12 @@
 #include "neural/samples.h"
 
-#include <omp.h>
-
 #include <algorithm>
 #include <cmath>
-#include <condition_variable>
-#include <deque>
-#include <mutex>
 #include <numeric>
-#include <thread>
 
 #include "generator/core/error.h"
 #include "generator/core/random.h"
+#include "neural/area_average.h"
 #include "neural/packed_cache.h"
 
 namespace moomill {
@@ -45,48 +40,6 @@ const char* name_of(Split split) {
   return split == Split::train ? "training" : split == Split::validate ? "validation" : "test";
 }
 
-// --- area averaging ---
-
-// How much of each source cell falls into which destination cells along one axis; a destination cell's shares add up to 1.
-struct AxisShares {
-  struct Share {
-    int to;
-    float weight;
-  };
-  std::vector<int> begin;  // per source cell, and the end
-  std::vector<Share> shares;
-  AxisShares(int from, int to) {
-    const double scale = static_cast<double>(to) / from;
-    for (int i = 0; i < from; ++i) {
-      begin.push_back(static_cast<int>(shares.size()));
-      const double low = i * scale, high = (i + 1) * scale;
-      for (int j = static_cast<int>(low); j < to && j < high; ++j) {
-        const double overlap = std::min(high, j + 1.0) - std::max(low, static_cast<double>(j));
-        if (overlap > 1e-9) shares.push_back({j, static_cast<float>(overlap)});
-      }
-    }
-    begin.push_back(static_cast<int>(shares.size()));
-  }
-};
-
-struct AreaAverage {
-  int width, height;  // of the source
-  int to_width, to_height;
-  AxisShares x, y;
-  AreaAverage(int w, int h, int tw, int th) : width(w), height(h), to_width(tw), to_height(th), x(w, tw), y(h, th) {}
-  // Adds pixel (px, py) of `channels` values to planes [channels, to_height, to_width].
-  template <class Values>
-  void add(int px, int py, int channels, const Values& values, float* planes) const {
-    const std::size_t plane = static_cast<std::size_t>(to_width) * to_height;
-    for (int j = y.begin[py]; j < y.begin[py + 1]; ++j)
-      for (int i = x.begin[px]; i < x.begin[px + 1]; ++i) {
-        const float weight = x.shares[i].weight * y.shares[j].weight;
-        float* to = planes + static_cast<std::size_t>(y.shares[j].to) * to_width + x.shares[i].to;
-        for (int c = 0; c < channels; ++c) to[c * plane] += weight * values[c];
-      }
-  }
-};
-
 // --- silhouettes ---
 
 bool inside(const std::uint64_t* mask, std::size_t words, int x, int y) {
@@ -100,7 +53,8 @@ void list_boundary(const std::uint64_t* mask, int width, int height, std::vector
   for (int y = 0; y < height; ++y)
     for (std::size_t w = 0; w < words; ++w) {
       const std::uint64_t *row = mask + words * y, m = row[w];
-      const std::uint64_t left = m << 1 | (w > 0 ? row[w - 1] >> 63 : 0), right = m >> 1 | (w + 1 < words ? row[w + 1] << 63 : 0);
+      const std::uint64_t left = m << 1 | (w > 0 ? row[w - 1] >> 63 : 0),
+                          right = m >> 1 | (w + 1 < words ? row[w + 1] << 63 : 0);
       any[words * y + w] = m | left | right;
       all[words * y + w] = m & left & right;
     }
@@ -109,8 +63,10 @@ void list_boundary(const std::uint64_t* mask, int width, int height, std::vector
     for (std::size_t w = 0; w < words; ++w) {
       const std::size_t at = words * y + w;
       const std::uint64_t up_any = y > 0 ? any[at - words] : 0, up_all = y > 0 ? all[at - words] : 0;
-      const std::uint64_t down_any = y + 1 < height ? any[at + words] : 0, down_all = y + 1 < height ? all[at + words] : 0;
-      for (std::uint64_t rest = (any[at] | up_any | down_any) & ~(all[at] & up_all & down_all); rest; rest &= rest - 1) {
+      const std::uint64_t down_any = y + 1 < height ? any[at + words] : 0,
+                          down_all = y + 1 < height ? all[at + words] : 0;
+      for (std::uint64_t rest = (any[at] | up_any | down_any) & ~(all[at] & up_all & down_all); rest;
+           rest &= rest - 1) {
         const int x = static_cast<int>(w) * 64 + std::countr_zero(rest);
         if (x < width) out.push_back(static_cast<std::uint32_t>(y * width + x));
       }
@@ -136,7 +92,9 @@ dvec3 turned(const dvec3& p, int k) {
   return {c * p.x - s * p.y, s * p.x + c * p.y, p.z};
 }
 
-torch::Tensor zeros(at::IntArrayRef shape) { return torch::zeros(shape, torch::kFloat32); }
+torch::Tensor zeros(at::IntArrayRef shape) {
+  return torch::zeros(shape, torch::kFloat32);
+}
 
 }  // namespace
 
@@ -144,7 +102,7 @@ struct SampleSource::State {
   DatasetSource source;
   PackedGeometry geometry;
   std::vector<int> coats;
-  std::vector<PackedCoat> packed;  // parallel to coats
+  std::vector<PackedCoat> packed;      // parallel to coats
   std::vector<std::vector<int>> seen;  // per frame: places of the cameras that see the animal
   int left_out = 0;                    // frames that no camera sees
   std::string rings;                   // why the cameras cannot be turned; empty where they can
@@ -155,8 +113,8 @@ struct SampleSource::State {
   int frame_at(int frame) const {
     const auto found = std::lower_bound(source.frames.begin(), source.frames.end(), frame);
     if (found == source.frames.end() || *found != frame)
-      input_error("{}: has no frame {}; its frames go from {} to {}", source.folder.string(), frame, source.frames.front(),
-                  source.frames.back());
+      input_error("{}: has no frame {}; its frames go from {} to {}", source.folder.string(), frame,
+                  source.frames.front(), source.frames.back());
     return static_cast<int>(found - source.frames.begin());
   }
   std::vector<int> places(Split split) const {  // of frames of a split that some camera sees
@@ -176,7 +134,8 @@ struct SampleSource::State {
       std::vector<int> frames(needed);
       std::iota(frames.begin(), frames.end(), 0);
       const Splits splits = make_splits(frames);
-      if (!(split == Split::train ? splits.train : split == Split::validate ? splits.validate : splits.test).empty()) break;
+      if (!(split == Split::train ? splits.train : split == Split::validate ? splits.validate : splits.test).empty())
+        break;
     }
     input_error("{}: its {} frames leave none for the {} split; make a dataset of {} or more", source.folder.string(),
                 source.frames.size(), name_of(split), std::max(needed, 1));
@@ -200,7 +159,8 @@ SampleSource::SampleSource(const fs::path& dataset, const std::vector<int>& coat
   s.seen.resize(s.source.frames.size());
   for (std::size_t f = 0; f < s.seen.size(); ++f) {
     for (std::size_t c = 0; c < s.source.camera_ids.size(); ++c)
-      if (s.geometry.count(s.view(static_cast<int>(f), static_cast<int>(c))) > 0) s.seen[f].push_back(static_cast<int>(c));
+      if (s.geometry.count(s.view(static_cast<int>(f), static_cast<int>(c))) > 0)
+        s.seen[f].push_back(static_cast<int>(c));
     if (s.seen[f].empty()) ++s.left_out;
   }
   s.rings = why_not_rings(s.source);
@@ -208,13 +168,27 @@ SampleSource::SampleSource(const fs::path& dataset, const std::vector<int>& coat
 
 SampleSource::~SampleSource() = default;
 
-int SampleSource::keypoint_count() const { return static_cast<int>(state_->source.keypoints.front().size()); }
-int SampleSource::width() const { return state_->source.width; }
-int SampleSource::height() const { return state_->source.height; }
-bool SampleSource::has_nnopcs() const { return !state_->source.nnopcs_template.empty(); }
-double SampleSource::reader_radius() const { return state_->source.reader_radius; }
-const std::vector<int>& SampleSource::coats() const { return state_->coats; }
-std::vector<int> SampleSource::cameras() const { return state_->source.camera_ids; }
+int SampleSource::keypoint_count() const {
+  return static_cast<int>(state_->source.keypoints.front().size());
+}
+int SampleSource::width() const {
+  return state_->source.width;
+}
+int SampleSource::height() const {
+  return state_->source.height;
+}
+bool SampleSource::has_nnopcs() const {
+  return !state_->source.nnopcs_template.empty();
+}
+double SampleSource::reader_radius() const {
+  return state_->source.reader_radius;
+}
+const std::vector<int>& SampleSource::coats() const {
+  return state_->coats;
+}
+std::vector<int> SampleSource::cameras() const {
+  return state_->source.camera_ids;
+}
 
 std::vector<std::string> SampleSource::coat_names() const {
   std::vector<std::string> out;
@@ -236,10 +210,11 @@ std::vector<int> SampleSource::frames(Split split) const {
 
 std::string SampleSource::describe() const {
   const State& s = *state_;
-  std::string out = fmt::format("{} poses, {} cameras, {} of {} coats, {} x {} pixels, {} keypoints, {}; {} training, {} validation, {} test",
-                                s.source.frames.size(), s.source.camera_ids.size(), s.coats.size(), s.source.coats.size(),
-                                width(), height(), keypoint_count(), has_nnopcs() ? "NNOPCS" : "no NNOPCS",
-                                frames(Split::train).size(), frames(Split::validate).size(), frames(Split::test).size());
+  std::string out = fmt::format(
+      "{} poses, {} cameras, {} of {} coats, {} x {} pixels, {} keypoints, {}; {} training, {} validation, {} test",
+      s.source.frames.size(), s.source.camera_ids.size(), s.coats.size(), s.source.coats.size(), width(), height(),
+      keypoint_count(), has_nnopcs() ? "NNOPCS" : "no NNOPCS", frames(Split::train).size(),
+      frames(Split::validate).size(), frames(Split::test).size());
   if (s.left_out > 0)
     out += fmt::format("; {} pose{} left out: no camera sees the animal", s.left_out, s.left_out == 1 ? "" : "s");
   return out;
@@ -251,8 +226,8 @@ FullView SampleSource::view(const ViewId& id) const {
   const auto& ids = s.source.camera_ids;
   const auto found = std::find(ids.begin(), ids.end(), id.camera);
   if (found == ids.end())
-    input_error("{}: has no camera {}; its {} cameras go from {} to {}", s.source.folder.string(), id.camera, ids.size(),
-                ids.front(), ids.back());
+    input_error("{}: has no camera {}; its {} cameras go from {} to {}", s.source.folder.string(), id.camera,
+                ids.size(), ids.front(), ids.back());
   const int camera_at = static_cast<int>(found - ids.begin());
   const std::size_t v = s.view(frame_at, camera_at);
   const CameraRecord& camera = s.source.camera(frame_at, camera_at);
@@ -270,8 +245,15 @@ FullView SampleSource::view(const ViewId& id) const {
   }
   out.world_to_camera = zeros({3, 4});
   for (int i = 0; i < 12; ++i) out.world_to_camera.data_ptr<float>()[i] = static_cast<float>(camera.world_to_camera[i]);
-  const float lens[9] = {static_cast<float>(camera.fx), 0, static_cast<float>(camera.cx), 0, static_cast<float>(camera.fy),
-                         static_cast<float>(camera.cy), 0, 0, 1};
+  const float lens[9] = {static_cast<float>(camera.fx),
+                         0,
+                         static_cast<float>(camera.cx),
+                         0,
+                         static_cast<float>(camera.fy),
+                         static_cast<float>(camera.cy),
+                         0,
+                         0,
+                         1};
   out.intrinsics = zeros({3, 3});
   std::copy(lens, lens + 9, out.intrinsics.data_ptr<float>());
 
@@ -292,7 +274,8 @@ FullView SampleSource::view(const ViewId& id) const {
     const Image8 image = read_color(s.source, file);
     out.color = zeros({3, h, w});
     for (std::size_t i = 0; i < plane; ++i)
-      for (int c = 0; c < 3; ++c) out.color.data_ptr<float>()[c * plane + i] = static_cast<float>(image.data[3 * i + c]) / 255.0f;
+      for (int c = 0; c < 3; ++c)
+        out.color.data_ptr<float>()[c * plane + i] = static_cast<float>(image.data[3 * i + c]) / 255.0f;
   }
   return out;
 }
@@ -303,7 +286,11 @@ torch::Tensor SampleSource::encoder_image(const FullView& view, int width, int h
 
 int SampleSource::batches_per_epoch(const SampleOptions& o) const {
   if (o.batch < 1 || o.views_per_frame < 1)
-    input_error("a batch of {} with {} views of a frame makes no sense; both must be at least 1", o.batch, o.views_per_frame);
+    input_error("a batch of {} with {} views of a frame makes no sense; both must be at least 1", o.batch,
+                o.views_per_frame);
+  if (o.silhouette_points < 0 || o.surface_points < 0 || !(o.near_sigma >= 0) || !(o.far_sigma >= 0) ||
+      !(o.keypoint_noise_m >= 0))
+    input_error("numbers of points, sigmas and noise must not be negative");
   const int items = static_cast<int>(state_->needed_places(o.split).size()) * o.views_per_frame;
   return o.split == Split::train ? std::max(1, items / o.batch) : (items + o.batch - 1) / o.batch;
 }
@@ -399,7 +386,8 @@ Batch SampleSource::batch(const SampleOptions& o, int epoch, int index) const {
       const std::size_t at = i * k + j;
       for (int c = 0; c < 3; ++c) {
         keypoints[3 * at + c] = static_cast<float>(p[c]);
-        const double noise = o.keypoint_noise_m > 0 ? o.keypoint_noise_m * to_normal(key(item.identity, Draw::noise, j, c)) : 0;
+        const double noise =
+            o.keypoint_noise_m > 0 ? o.keypoint_noise_m * to_normal(key(item.identity, Draw::noise, j, c)) : 0;
         noisy[3 * at + c] = static_cast<float>(p[c] + noise);
       }
       flat[2 * at] = static_cast<float>(q.pixel.x / w);
@@ -449,101 +437,6 @@ Batch SampleSource::batch(const SampleOptions& o, int epoch, int index) const {
     }
   });
   return out;
-}
-
-std::vector<int> coats_of_dataset(const fs::path& dataset) {
-  std::vector<int> coats;
-  for (const auto& [index, name] : read_dataset_source(dataset).coats) coats.push_back(index);
-  return coats;
-}
-
-torch::Tensor make_encoder_image(const torch::Tensor& color, const torch::Tensor& mask, const torch::Tensor& nnopcs, int width,
-                                 int height) {
-  check(color.defined() && color.dim() == 3 && color.size(0) == 3, "a picture for the encoder is [3, h, w]");
-  const int h = static_cast<int>(color.size(1)), w = static_cast<int>(color.size(2));
-  check(mask.defined() && mask.dim() == 2 && mask.size(0) == h && mask.size(1) == w, "its mask is [h, w]");
-  check(!nnopcs.defined() || nnopcs.sizes() == color.sizes(), "its NNOPCS is [3, h, w]");
-  const torch::NoGradGuard no_grad;
-  const auto plain = [](const torch::Tensor& t) { return t.detach().to(torch::kCPU, torch::kFloat32).contiguous(); };
-  const torch::Tensor c = plain(color), m = plain(mask), n = nnopcs.defined() ? plain(nnopcs) : torch::Tensor();
-  const AreaAverage resize(w, h, width > 0 ? width : w, height > 0 ? height : h);
-  const int channels = n.defined() ? 6 : 3;
-  torch::Tensor out = zeros({channels, resize.to_height, resize.to_width});
-  const std::size_t plane = static_cast<std::size_t>(w) * h;
-  const float *colors = c.data_ptr<float>(), *masks = m.data_ptr<float>(), *maps = n.defined() ? n.data_ptr<float>() : nullptr;
-  float* planes = out.data_ptr<float>();
-  for (int y = 0; y < h; ++y)
-    for (int x = 0; x < w; ++x) {
-      const std::size_t i = static_cast<std::size_t>(y) * w + x;
-      if (masks[i] == 0) continue;
-      float values[6];
-      for (int j = 0; j < 3; ++j) values[j] = masks[i] * colors[j * plane + i];
-      for (int j = 0; j < 3 && maps; ++j) values[3 + j] = masks[i] * maps[j * plane + i];
-      resize.add(x, y, channels, values, planes);
-    }
-  return out;
-}
-
-// --- Prefetcher ---
-
-struct Prefetcher::State {
-  const SampleSource& source;
-  SampleOptions options;
-  int epoch, index;
-  std::size_t ahead;
-  std::mutex mutex;
-  std::condition_variable changed;
-  std::deque<Batch> ready;
-  std::exception_ptr error;
-  bool stop = false;
-  std::thread thread;
-
-  void run() {
-    // One thread: the others are busy training. LibTorch sets the team of a new thread at its first use; after that, ours holds.
-    at::internal::lazy_init_num_threads();
-    omp_set_num_threads(1);
-    try {
-      const int batches = source.batches_per_epoch(options);
-      for (;;) {
-        for (; index >= batches; index -= batches) ++epoch;
-        Batch batch = source.batch(options, epoch, index++);
-        std::unique_lock lock(mutex);
-        changed.wait(lock, [&] { return stop || ready.size() < ahead; });
-        if (stop) return;
-        ready.push_back(std::move(batch));
-        changed.notify_all();
-      }
-    } catch (...) {
-      std::lock_guard lock(mutex);
-      error = std::current_exception();
-      changed.notify_all();
-    }
-  }
-};
-
-Prefetcher::Prefetcher(const SampleSource& source, SampleOptions options, int epoch, int index, int ahead)
-    : state_(new State{source, std::move(options), epoch, index, static_cast<std::size_t>(std::max(ahead, 1)), {}, {}, {}, {}, false, {}}) {
-  state_->thread = std::thread([s = state_.get()] { s->run(); });
-}
-
-Prefetcher::~Prefetcher() {
-  {
-    std::lock_guard lock(state_->mutex);
-    state_->stop = true;
-  }
-  state_->changed.notify_all();
-  state_->thread.join();
-}
-
-Batch Prefetcher::next() {
-  State& s = *state_;
-  std::unique_lock lock(s.mutex);
-  s.changed.wait(lock, [&] { return !s.ready.empty() || s.error; });
-  if (s.ready.empty()) std::rethrow_exception(s.error);
-  Batch batch = std::move(s.ready.front());
-  s.ready.pop_front();
-  s.changed.notify_all();
-  return batch;
 }
 
 }  // namespace moomill

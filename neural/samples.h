@@ -85,7 +85,8 @@ class SampleSource {
   std::vector<int> cameras() const;
   std::string describe() const;  // one line: poses, cameras, coats, resolution, split sizes
   FullView view(const ViewId& id) const;
-  // The texture encoder's input of a view, masked, at width x height (0: as rendered): [6 or 3, h, w].
+  // The texture encoder's input of a view, masked, at width x height (0: as rendered): [6, h, w], or [3, h, w]
+  // where view.nnopcs is undefined.
   torch::Tensor encoder_image(const FullView& view, int width, int height) const;
 
   // The last, short batch of an epoch is dropped while training, unless it is the only one. InputError when the split is empty.
@@ -108,9 +109,6 @@ class Prefetcher {
   struct State;
   std::unique_ptr<State> state_;
 };
-
-// Indices of all coats a dataset holds, ascending.
-std::vector<int> coats_of_dataset(const std::filesystem::path& dataset);
 
 // Pictures to encoder input outside a dataset (a photo with mask): masks, resizes by area, stacks. color [3, h, w], mask [h, w],
 // nnopcs [3, h, w] or undefined.

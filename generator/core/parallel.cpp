@@ -6,6 +6,7 @@
 #include <xmmintrin.h>
 
 #include <algorithm>
+#include <limits>
 
 namespace moomill {
 
@@ -18,6 +19,12 @@ void keep_memory_flat() {
   // Setting the threshold also stops glibc from raising it (mallopt(3)).
   mallopt(M_MMAP_THRESHOLD, 8 << 20);
   mallopt(M_TRIM_THRESHOLD, 256 << 20);
+}
+
+void keep_memory_mapped() {
+  mallopt(M_MMAP_MAX, 0);
+  mallopt(M_TRIM_THRESHOLD, std::numeric_limits<int>::max());
+  mallopt(M_TOP_PAD, 64 << 20);
 }
 
 int hardware_threads() {

@@ -29,6 +29,10 @@ void parallel_for(std::size_t count, std::size_t grain, const Body& body) {
 // creep upwards for hours. For main(), once, before any thread starts.
 void keep_memory_flat();
 
+// The opposite, for programs that take and give back the same large tensors at every step: malloc keeps what it has, so that
+// their pages are not mapped and cleared again and again.
+void keep_memory_mapped();
+
 // Cores this process may use.
 int hardware_threads();
 

@@ -72,6 +72,11 @@ TEST_CASE("a cache is made once, and only of what is needed") {
   CHECK(packed(fs::path(data / ""), {0}) == Names{"packing coat 0"});  // a slash at the end changes nothing
   CHECK(packed(data, {1}, folder / "elsewhere/deep") == Names{"packing geometry", "packing coat 1"});
   for (const auto& entry : fs::directory_iterator(cache)) CHECK(!is_temporary(entry.path()));
+  // What a killed run left behind goes away when something is packed again.
+  overwrite(cache / ".moomill-part-1-2-geometry.pack", "half");
+  fs::remove(cache / "coat_000.pack");
+  CHECK(packed(data, {0}) == Names{"packing coat 0"});
+  CHECK(!fs::exists(cache / ".moomill-part-1-2-geometry.pack"));
   // The same bytes from one thread or several.
   const int threads = omp_get_max_threads();
   omp_set_num_threads(threads == 1 ? 3 : 1);
@@ -83,12 +88,14 @@ TEST_CASE("a cache is made once, and only of what is needed") {
 
 TEST_CASE("a cache that is stale or damaged is made anew, another's file is left alone") {
   const TemporaryFolder folder;
-  const fs::path data = folder / "data", geometry = folder / "data.cache/geometry.pack", coat = folder / "data.cache/coat_000.pack";
+  const fs::path data = folder / "data", geometry = folder / "data.cache/geometry.pack",
+                 coat = folder / "data.cache/coat_000.pack";
   write_tiny_dataset(data, small);
   packed(data, {0});
   const std::string good = text_of(geometry), good_coat = text_of(coat);
 
-  for (const std::size_t size : {good.size() - 1, good.size() / 2, std::size_t{100}, std::size_t{64}, std::size_t{20}, std::size_t{3}, std::size_t{0}}) {
+  for (const std::size_t size : {good.size() - 1, good.size() / 2, std::size_t{100}, std::size_t{64}, std::size_t{20},
+                                 std::size_t{3}, std::size_t{0}}) {
     INFO(size);
     overwrite(geometry, good.substr(0, size));
     CHECK(packed(data, {0}) == Names{"packing geometry"});
@@ -121,7 +128,9 @@ TEST_CASE("a cache that is stale or damaged is made anew, another's file is left
   bad[64 + 81 * 8 + 24 * 8] = static_cast<char>(bad[64 + 81 * 8 + 24 * 8] ^ 1);  // a corner of the second view
   overwrite(geometry, bad);
   const SampleSource damaged(data, {});
-  CHECK(message_of<RunError>([&] { damaged.view({1, 1, -1}); }).find("geometry.pack: is damaged; delete it") != std::string::npos);
+  CHECK(message_of<RunError>([&] {
+          damaged.view({1, 1, -1});
+        }).find("geometry.pack: is damaged; delete it") != std::string::npos);
   overwrite(geometry, good);
 
   // The same folder with other poses: every picture changed, so did the records.
@@ -228,7 +237,9 @@ TEST_CASE("datasets that cannot be used are refused in one sentence") {
   overwrite(csv, table);
 
   const std::string manifest = text_of(data / manifest_name);
-  for (const auto& [key, word] : {std::pair<std::string, std::string>{"silhouette", "silhouettes"}, {"depth", "depth"}, {"keypoints_csv", "keypoints"}}) {
+  for (const auto& [key, word] : {std::pair<std::string, std::string>{"silhouette", "silhouettes"},
+                                  {"depth", "depth"},
+                                  {"keypoints_csv", "keypoints"}}) {
     Json json = Json::parse(manifest);
     json["paths"].erase(key);
     overwrite(data / manifest_name, json.dump());
@@ -242,6 +253,10 @@ TEST_CASE("datasets that cannot be used are refused in one sentence") {
   json["cameras"][3]["width"] = 40;
   overwrite(data / manifest_name, json.dump());
   check_refused(data, {}, {"camera 3 has 40 x 24", "one resolution"});
+  json = Json::parse(manifest);
+  json["cameras"][2]["fx"] = nullptr;
+  overwrite(data / manifest_name, json.dump());
+  check_refused(data, {}, {"manifest.json"});
   fs::remove(data / manifest_name);
   overwrite(data / journal_name, "{}");
   check_refused(data, {}, {"unfinished"});
@@ -288,12 +303,15 @@ TEST_CASE("rows of keypoints go by frame number, else by order") {
     }
     return text;
   };
-  for (const auto& text : {rows([](int f) { return std::to_string(f); }, true), rows([](int f) { return std::to_string(f - 1); }, false),
-                           rows([](int) { return "0.0"; }, false), rows([](int f) { return fmt::format("{}.000e+00", f); }, true) + "\n\n"}) {
+  for (const auto& text :
+       {rows([](int f) { return std::to_string(f); }, true), rows([](int f) { return std::to_string(f - 1); }, false),
+        rows([](int) { return "0.0"; }, false),
+        rows([](int f) { return fmt::format("{}.000e+00", f); }, true) + "\n\n"}) {
     overwrite(csv, text);
     const SampleSource source(data, {});
     for (int frame = 1; frame <= 10; ++frame)
-      CHECK(source.view({frame, 0, -1}).keypoints.data_ptr<float>()[3] == static_cast<float>(tiny_keypoints(tiny_pose(frame))[1].x));
+      CHECK(source.view({frame, 0, -1}).keypoints.data_ptr<float>()[3] ==
+            static_cast<float>(tiny_keypoints(tiny_pose(frame))[1].x));
   }
 }
 
@@ -315,7 +333,8 @@ TEST_CASE("keypoints behind the camera give finite numbers") {
   o.silhouette_points = 10;
   const Batch b = source.batch(o, 0, 0);
   CHECK(b.near_depth.min().item<float>() < 0);
-  for (const torch::Tensor& t : {b.keypoints_2d, b.near_depth, b.depth_range, b.depth}) CHECK(torch::isfinite(t).all().item<bool>());
+  for (const torch::Tensor& t : {b.keypoints_2d, b.near_depth, b.depth_range, b.depth})
+    CHECK(torch::isfinite(t).all().item<bool>());
 
   // All in one place: the depth range keeps its least size.
   text = text.substr(0, text.find('\n') + 1);
@@ -355,7 +374,8 @@ TEST_CASE("cameras that vary from frame to frame") {
   const SampleSource source(folder / "data", {});
   SampleOptions options;
   options.turn_cameras = true;
-  CHECK(message_of<InputError>([&] { source.batch(options, 0, 0); }).find("vary from frame to frame") != std::string::npos);
+  CHECK(message_of<InputError>([&] { source.batch(options, 0, 0); }).find("vary from frame to frame") !=
+        std::string::npos);
   options.turn_cameras = false;
   const Batch b = source.batch(options, 0, 0);
   for (std::size_t i = 0; i < b.views.size(); ++i) {

@@ -1,7 +1,7 @@
 #pragma once
-// A tiny dataset whose every number is known: an ellipsoid that turns, moves and stretches from frame to frame, seen by rings of
-// eight cameras. Depth, NNOPCS, silhouette, colour and keypoints follow from one quadratic equation, so that nothing of the
-// renderer is needed. Include tests/neural/doctest_torch.h first.
+// A tiny dataset whose every number is known: an ellipsoid that turns, moves and stretches from frame to frame, seen by
+// rings of eight cameras. Depth, NNOPCS, silhouette, colour and keypoints follow from one quadratic equation, so that
+// nothing of the renderer is needed. Include tests/neural/doctest_torch.h first.
 #include <cmath>
 #include <functional>
 #include <optional>
@@ -18,9 +18,9 @@ struct TinyOptions {
   int coats = 3;
   bool nnopcs = true;
   std::string species = "cow";
-  dvec3 shift{0};                    // metres, of all cameras: off the Z axis their rings cannot be turned
-  std::uint64_t seed = 1;            // of the poses
-  std::function<void(View&)> edit;   // changes a view before it is written
+  dvec3 shift{0};                   // metres, of all cameras: off the Z axis their rings cannot be turned
+  std::uint64_t seed = 1;           // of the poses
+  std::function<void(View&)> edit;  // changes a view before it is written
 };
 
 struct TinyPose {
@@ -29,7 +29,9 @@ struct TinyPose {
 };
 
 inline TinyPose tiny_pose(int frame, std::uint64_t seed = 1) {
-  const auto unit = [&](std::uint64_t i) { return to_unit(hash_identity({seed, static_cast<std::uint64_t>(frame), i})); };
+  const auto unit = [&](std::uint64_t i) {
+    return to_unit(hash_identity({seed, static_cast<std::uint64_t>(frame), i}));
+  };
   const double yaw = 2 * pi * unit(0), c = std::cos(yaw), s = std::sin(yaw);
   const dvec3 axes(0.45 * (0.8 + 0.4 * unit(1)), 0.22 * (0.8 + 0.4 * unit(2)), 0.3 * (0.8 + 0.4 * unit(3)));
   TinyPose pose;
@@ -45,16 +47,19 @@ inline dvec3 tiny_sphere_point(const TinyPose& pose, const dvec3& world) {
 
 inline std::vector<dvec3> tiny_keypoints(const TinyPose& pose) {
   std::vector<dvec3> out;
-  for (const dvec3& p : {dvec3(0), dvec3(0.8, 0, 0), dvec3(-0.8, 0, 0), dvec3(0, 0.8, 0), dvec3(0, -0.8, 0), dvec3(0, 0, 0.8),
-                         dvec3(0, 0, -0.8), dvec3(0.5, 0.4, 0.4), dvec3(0.5, -0.4, -0.4), dvec3(-0.5, 0.4, -0.4)})
+  for (const dvec3& p :
+       {dvec3(0), dvec3(0.8, 0, 0), dvec3(-0.8, 0, 0), dvec3(0, 0.8, 0), dvec3(0, -0.8, 0), dvec3(0, 0, 0.8),
+        dvec3(0, 0, -0.8), dvec3(0.5, 0.4, 0.4), dvec3(0.5, -0.4, -0.4), dvec3(-0.5, 0.4, -0.4)})
     out.push_back(pose.to_world * p + pose.centre);
   return out;
 }
 
-// Looks at the origin (before the shift), without roll; turning the world by 45 degrees about Z maps each azimuth to the next.
+// Looks at the origin (before the shift), without roll; turning the world by 45 degrees about Z maps each azimuth to
+// the next.
 inline CameraRecord tiny_camera(int id, const TinyOptions& o) {
   constexpr double elevations[] = {5, 25, 50};
-  const double e = elevations[id / 8 % 3] * degrees, a = (45 * (id % 8) + 10) * degrees, distance = 4.5 + 0.5 * (id / 8);
+  const double e = elevations[id / 8 % 3] * degrees, a = (45 * (id % 8) + 10) * degrees,
+               distance = 4.5 + 0.5 * (id / 8);
   const dvec3 from(distance * std::cos(e) * std::cos(a), distance * std::cos(e) * std::sin(a), distance * std::sin(e));
   CameraRecord c;
   c.id = id;
@@ -81,13 +86,15 @@ inline dvec3 tiny_to_camera(const CameraRecord& c, const dvec3& p) {
 }
 
 struct TinyHit {
-  double depth;   // metres, camera z
+  double depth;  // metres, camera z
   dvec3 nnopcs;
 };
 
 // Through a pixel position; pixel (i, j) has its centre at (i + 0.5, j + 0.5).
 inline std::optional<TinyHit> tiny_trace(const TinyPose& pose, const CameraRecord& c, double x, double y) {
-  const auto axis = [&](int r) { return dvec3(c.world_to_camera[4 * r], c.world_to_camera[4 * r + 1], c.world_to_camera[4 * r + 2]); };
+  const auto axis = [&](int r) {
+    return dvec3(c.world_to_camera[4 * r], c.world_to_camera[4 * r + 1], c.world_to_camera[4 * r + 2]);
+  };
   const dvec3 direction = (x - c.cx) / c.fx * axis(0) + (y - c.cy) / c.fy * axis(1) + axis(2);  // camera z is 1
   const dvec3 o = tiny_sphere_point(pose, c.centre), d = glm::inverse(pose.to_world) * direction;
   const double a = glm::dot(d, d), b = glm::dot(o, d), q = b * b - a * (glm::dot(o, o) - 1);
@@ -104,7 +111,9 @@ inline dvec3 tiny_color(int coat, const dvec3& nnopcs) {
 
 inline constexpr double tiny_background = 0.45;  // sRGB, close to the coats
 
-inline double linear_of_srgb(double v) { return v <= 0.04045 ? v / 12.92 : std::pow((v + 0.055) / 1.055, 2.4); }
+inline double linear_of_srgb(double v) {
+  return v <= 0.04045 ? v / 12.92 : std::pow((v + 0.055) / 1.055, 2.4);
+}
 
 inline Manifest tiny_manifest(const TinyOptions& o) {
   Manifest m;
