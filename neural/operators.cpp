@@ -26,7 +26,7 @@ constexpr std::int64_t most_parts = 16;
 // What the forward pass keeps for the backward pass beside its inputs, where computing it anew costs more than writing
 // and reading it: at most so many bytes a call; the rest is computed anew.
 constexpr std::size_t most_kept_bytes = std::size_t{1} << 30;
-constexpr std::int64_t least_kept_channels = 128;
+constexpr std::int64_t least_kept_channels = 64;
 
 // Calls work(index, scratch) for every index below count; scratch is the thread's own.
 template <class Work>
