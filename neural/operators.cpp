@@ -64,12 +64,14 @@ Tensor spread_rows(const Tensor& matrix) {
 }
 
 // [.., k, n] in bfloat16, consecutive pairs along k side by side in the place of a float: [.., k / 2, n], rows spread.
+// An odd last row is paired with zeros.
 Tensor pack_pairs(const Tensor& matrix) {
-  auto sizes = matrix.sizes().vec();
+  const Tensor even =
+      at::constant_pad_nd(matrix.detach(), {0, 0, 0, matrix.size(-2) % 2}).to(at::kBFloat16).contiguous();
+  auto sizes = even.sizes().vec();
   sizes.insert(sizes.end() - 1, 2);
   sizes[sizes.size() - 3] /= 2;
-  const Tensor pairs = matrix.detach().to(at::kBFloat16).contiguous().view(sizes).transpose(-1, -2).contiguous();
-  return spread_rows(pairs.view(at::kFloat).squeeze(-1));
+  return spread_rows(even.view(sizes).transpose(-1, -2).contiguous().view(at::kFloat).squeeze(-1));
 }
 
 Tensor pack(const Tensor& matrix, bool bfloat16) {
@@ -118,19 +120,38 @@ enum AttentionInput {
   attention_inputs
 };
 
+// Arguments of the kernels that are the same for all frames, and the memory they point to.
 template <class T>
-AttentionArguments<T> attention_arguments(const variable_list& in) {
-  AttentionArguments<T> a;
-  a.channels = int(in[key].size(2));
-  a.components = int(in[key_position].size(2));
-  a.keys = int(in[key].size(1));
-  a.neighbours = in[neighbours].defined() ? int(in[neighbours].size(2)) : a.keys;
-  a.has_extra = in[extra_key].defined();
-  a.shared_query = in[query].size(1) == 1 && in[query_position].size(1) != 1;
-  a.logit_code = data<T>(in[logit_code]);
-  a.value_code = data<T>(in[value_code]);
-  return a;
-}
+struct PackedAttention {
+  AttentionArguments<T> arguments;
+  std::vector<Tensor> owned;
+
+  const T* keep(const Tensor& tensor) {
+    owned.push_back(tensor);
+    return data<T>(tensor);
+  }
+
+  PackedAttention(const variable_list& in, bool backward, bool bfloat16) {
+    AttentionArguments<T>& a = arguments;
+    a.channels = int(in[key].size(2));
+    a.components = int(in[key_position].size(2));
+    a.keys = int(in[key].size(1));
+    a.neighbours = in[neighbours].defined() ? int(in[neighbours].size(2)) : a.keys;
+    a.has_extra = in[extra_key].defined();
+    a.shared_query = in[query].size(1) == 1 && in[query_position].size(1) != 1;
+    a.logit_code = keep(pack(in[logit_code], bfloat16));
+    a.value_code = keep(pack(in[value_code], bfloat16));
+    a.mix_transposed = keep(pack(in[mix].t(), bfloat16));
+    if (!backward) return;
+    a.mix = keep(pack(in[mix], bfloat16));
+    if (!in[query_position].requires_grad() && !in[key_position].requires_grad()) return;
+    auto transposed = [&](const Tensor& code) {
+      return at::constant_pad_nd(code.detach().t(), {0, code_columns(a.components) - code.size(0)});
+    };
+    a.logit_code_transposed = keep(pack(transposed(in[logit_code]), bfloat16));
+    a.value_code_transposed = keep(pack(transposed(in[value_code]), bfloat16));
+  }
+};
 
 // The arguments of one frame.
 template <class T>
@@ -153,9 +174,8 @@ void* kept_of_frame(const Tensor& kept, std::int64_t frame, std::int64_t frame_b
 template <class T>
 Tensor attention_forward(const variable_list& in, bool bfloat16, bool keep, Tensor& kept) {
   const auto& kernels = attention_kernels<T>(bfloat16);
-  AttentionArguments<T> a = attention_arguments<T>(in);
-  const Tensor mix_transposed = pack(in[mix].t(), bfloat16);
-  a.mix_transposed = data<T>(mix_transposed);
+  const PackedAttention<T> packed(in, false, bfloat16);
+  const auto& a = packed.arguments;
   const std::int64_t frames = in[key].size(0), queries = in[query_position].size(1);
   Tensor out = at::empty({frames, queries, a.channels}, in[key].options());
   // [kept frames, M, keys of a query, d], as bytes
@@ -178,19 +198,8 @@ template <class T>
 variable_list attention_backward(const variable_list& in, const Tensor& kept, const Tensor& out_gradient,
                                  bool bfloat16) {
   const auto& kernels = attention_kernels<T>(bfloat16);
-  AttentionArguments<T> a = attention_arguments<T>(in);
-  const Tensor mix_rows = pack(in[mix], bfloat16), mix_transposed = pack(in[mix].t(), bfloat16);
-  a.mix = data<T>(mix_rows);
-  a.mix_transposed = data<T>(mix_transposed);
-  const bool of_positions = in[query_position].requires_grad() || in[key_position].requires_grad();
-  Tensor codes_transposed[2];
-  if (of_positions)
-    for (int i = 0; i < 2; ++i) {
-      codes_transposed[i] = at::zeros({a.channels, code_columns(a.components)}, in[key].options());
-      codes_transposed[i].narrow(1, 0, code_rows(a.components)).copy_(in[i == 0 ? logit_code : value_code].t());
-    }
-  a.logit_code_transposed = data<T>(codes_transposed[0]);
-  a.value_code_transposed = data<T>(codes_transposed[1]);
+  const PackedAttention<T> packed(in, true, bfloat16);
+  const auto& a = packed.arguments;
 
   // A unit is a frame, or a chunk of its queries where there are few frames; a part is some consecutive units. What
   // belongs to a frame is summed per unit, what belongs to all per part.

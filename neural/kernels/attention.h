@@ -21,10 +21,9 @@ struct AttentionArguments {
   int neighbours = 0;  // keys a query attends to, without the extra one
   bool has_extra = false;
   bool shared_query = false;
-  // Of all frames.
+  // Of all frames. Rows are padded_row(columns) apart; for bfloat16 packed, see format.h.
   const T *logit_code = nullptr, *value_code = nullptr;  // [11 D, d]
-  const T *mix = nullptr,
-          *mix_transposed = nullptr;  // [d, d], rows padded_row(d) apart; for bfloat16 packed, see format.h
+  const T *mix = nullptr, *mix_transposed = nullptr;     // [d, d]
   const T *logit_code_transposed = nullptr,
           *value_code_transposed = nullptr;  // [d, code_columns(D)], only for position gradients
   // Of this frame.
@@ -62,8 +61,8 @@ struct AttentionKernels {
   std::size_t kept_size;
 };
 
-// For the instruction set in use; float and double. bfloat16: float with the products with the mix in bfloat16, for
-// processors that have it.
+// For the instruction set in use; float and double. bfloat16: float with all products in bfloat16, for processors
+// that have it.
 template <class T>
 const AttentionKernels<T>& attention_kernels(bool bfloat16);
 
