@@ -263,12 +263,8 @@ TEST_CASE("coats of a view rendered and encoded together are those of each alone
   for (int i = 0; i < 3; ++i) {
     const Tensor code = encode_coats(model, colors.slice(0, i, i + 1), maps.mask, maps.nnopcs);
     CHECK(torch::allclose(code[0], codes[i], 1e-4, 1e-6));
-<<<<<<< HEAD
-    CHECK(torch::allclose(render_color(model, code * 30, view, animal, maps.mask, {})[0], rendered[i], 1e-3, 1e-5));
-=======
-    CHECK(torch::allclose(render_color(model.texture, code * 30, view, animal, maps.mask, {})[0], rendered[i], 1e-3,
+    CHECK(torch::allclose(render_color(model, code * 30, view, animal, maps.mask, {})[0], rendered[i], 1e-3,
                           1e-5));
->>>>>>> 7bb6e7138a4a3b7cd5cbcada6ab202d8b21c06e1
   }
   // What lies outside the silhouette does not enter the code.
   const Tensor other = encode_coats(model, colors * maps.mask + 0.7 * (1 - maps.mask), maps.mask, maps.nnopcs);
@@ -455,14 +451,9 @@ TEST_CASE("a whole dataset: evaluated, embedded, identified, timed") {
       depth += 1000 * ((there.depth - truth.depth).abs().sum() / truth.mask.sum()).item<double>() / 2;
       iou += ((own.mask * truth.mask).sum() / torch::maximum(own.mask, truth.mask).sum()).item<double>() / 2;
       const Tensor code = encode_coats(model, truth.color.unsqueeze(0), own.mask, own.nnopcs);
-<<<<<<< HEAD
       const Tensor color = render_color(model, code, view, animal, truth.mask, {})[0];
-      const double error = (((color - truth.color) * truth.mask).square().sum() / (3 * truth.mask.sum())).item<double>();
-=======
-      const Tensor color = render_color(model.texture, code, view, animal, truth.mask, {})[0];
       const double error =
           (((color - truth.color) * truth.mask).square().sum() / (3 * truth.mask.sum())).item<double>();
->>>>>>> 7bb6e7138a4a3b7cd5cbcada6ab202d8b21c06e1
       psnr_first += -10 * std::log10(error) / 2;
     }
     CHECK(r.geometry.nnopcs_squared.value() == doctest::Approx(squared).epsilon(1e-4));
