@@ -157,9 +157,9 @@ TrainingEnd train_geometry(const SampleSource& source, const NetepuConfig& confi
       if (config.model.nnopcs) mean.add(4, (model.geometry->nnopcs(surface) - b.nnopcs).square().mean().item<double>(), n);
     }
     Scalars figures{{"loss", mean.of(0)},
-                    {"depth MAE, mm", mean.of(1)},
+                    {"depth MAE (mm)", mean.of(1)},
                     {"wrong silhouette points", mean.of(2)},
-                    {"keypoint error, mm", mean.of(3)}};
+                    {"keypoint error (mm)", mean.of(3)}};
     if (config.model.nnopcs) figures.emplace_back("NNOPCS MSE", mean.of(4));
     return figures;
   };
@@ -229,7 +229,7 @@ TrainingEnd train_texture(const SampleSource& source, const NetepuConfig& config
       const Tensor flat = (b.color - b.color.mean(1, true)).square().mean({1, 2});
       mean.add(2, (-10 * (flat + 1e-10).log10()).mean().item<double>(), n);
     }
-    return {{"color MSE", mean.of(0)}, {"PSNR in the mask, dB", mean.of(1)}, {"PSNR above the mean colour, dB", mean.of(1) - mean.of(2)}};
+    return {{"color MSE", mean.of(0)}, {"PSNR in the mask (dB)", mean.of(1)}, {"PSNR above the mean colour (dB)", mean.of(1) - mean.of(2)}};
   };
   stage.save_best = [&](const std::filesystem::path& file, const nlohmann::json& provenance) {
     model.provenance["texture"] = provenance;

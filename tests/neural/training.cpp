@@ -145,6 +145,12 @@ TEST_CASE("a resumed run equals an uninterrupted one, bit for bit, in both stage
   check_same(tiny.run("whole") / "state.netepu", tiny.run("parts") / "state.netepu");
   check_same(tiny.run("whole") / "model.netepu", tiny.run("parts") / "model.netepu");
   for (const char* file : {"scalars.csv", "curves.svg", "error.svg", "config.json"}) CHECK(fs::file_size(tiny.run("parts") / file) > 100);
+  // Prolonged: goes on with the schedule of the longer run.
+  NetepuConfig longer = c;
+  longer.geometry.epochs = 6;
+  Log more;
+  CHECK(train_geometry(*tiny.source, longer, tiny.run("parts"), more.control) == TrainingEnd::finished);
+  CHECK(more.lines.front().starts_with("going on from epoch 4 of 6"));
   Log again;
   CHECK(train_geometry(*tiny.source, c, tiny.run("whole"), again.control) == TrainingEnd::finished);
   CHECK(again.lines.back() == "finished before; nothing to do");
