@@ -55,6 +55,13 @@ struct VectorWeights : nn::Module {
   Tensor value_code() { return position->weight.t().contiguous(); }
 };
 
+// Batch norm over frames and keypoints, x [B, K, d]. Channels go first: LibTorch then sums each channel on one thread, in one
+// order, while for [N, d] the order depends on the number of threads.
+Tensor normalise(nn::BatchNorm1d& norm, const Tensor& x) {
+  const Tensor rows = x.reshape({-1, x.size(2)}).t().contiguous().unsqueeze(0);
+  return norm(rows).squeeze(0).t().reshape(x.sizes());
+}
+
 // Self-attention among keypoints with residual and batch norm. near = 0: all keypoints, else the nearest so many.
 struct SelfAttention : nn::Module {
   std::shared_ptr<VectorWeights> w;
@@ -65,7 +72,7 @@ struct SelfAttention : nn::Module {
     norm = register_module("norm", nn::BatchNorm1d(d));
   }
   Tensor forward(const Tensor& positions, const Tensor& x, const Evaluation& evaluation) {
-    const auto b = x.size(0), k = x.size(1), d = x.size(2);
+    const auto b = x.size(0), k = x.size(1);
     Tensor neighbours;
     if (near > 0 && near < k) {
       torch::NoGradGuard fixed;
@@ -90,7 +97,7 @@ struct SelfAttention : nn::Module {
       const Tensor logits = w->mix_logits(w->query(x).unsqueeze(2) - gather_keys(w->key(x), neighbours) + code);
       attended = (torch::softmax(logits, 2) * (gather_keys(w->value(x), neighbours) + code)).sum(2);
     }
-    return norm((attended + x).reshape({b * k, d})).view({b, k, d});
+    return normalise(norm, attended + x);
   }
 };
 
@@ -160,8 +167,7 @@ struct ElementPerceptron : nn::Module {
     norm = register_module("norm", nn::BatchNorm1d(d));
   }
   Tensor forward(const Tensor& x) {
-    const Tensor y = x + torch::relu(second(torch::relu(first(x))));
-    return norm(y.reshape({-1, y.size(2)})).view(y.sizes());
+    return normalise(norm, x + torch::relu(second(torch::relu(first(x)))));
   }
 };
 

@@ -43,6 +43,32 @@ std::vector<torch::Tensor> all_parameters(const Stage& stage) {
   return all;
 }
 
+// Scales the gradients of a group down to a norm of at most `most` (0: leaves them) and returns the norm they had. Sums in one order,
+// whatever the number of threads.
+double clip_gradients(const std::vector<torch::Tensor>& group, double most) {
+  torch::NoGradGuard fixed;
+  double square = 0;
+  for (const torch::Tensor& p : group) {
+    if (!p.grad().defined()) continue;
+    const torch::Tensor g = p.grad().contiguous();
+    const float* v = g.data_ptr<float>();
+    for (std::int64_t from = 0; from < g.numel(); from += 4096) {  // lanes of partial sums, so that the compiler may vectorise
+      const std::int64_t to = std::min(g.numel(), from + 4096);
+      double lanes[8] = {};
+      std::int64_t i = from;
+      for (; i + 8 <= to; i += 8)
+        for (int k = 0; k < 8; ++k) lanes[k] += double(v[i + k]) * double(v[i + k]);
+      for (; i < to; ++i) lanes[0] += double(v[i]) * double(v[i]);
+      for (const double lane : lanes) square += lane;
+    }
+  }
+  const double norm = std::sqrt(square);
+  if (most > 0 && norm > most)
+    for (const torch::Tensor& p : group)
+      if (p.grad().defined()) p.grad().mul_(most / norm);
+  return norm;
+}
+
 // The optimiser keys its state by the address of a parameter.
 torch::optim::AdamWParamState* state_of(torch::optim::AdamW& optimiser, const torch::Tensor& parameter) {
   const auto found = optimiser.state().find(c10::guts::to_string(parameter.unsafeGetTensorImpl()));
@@ -235,9 +261,7 @@ TrainingEnd run_training(const SampleSource& source, const NetepuConfig& config,
       if (loss > divergence_factor * std::max(1e-3, at.first_loss))
         diverged(fmt::format("the loss grew from {:.3g} to {:.3g}", at.first_loss, loss));
       for (const auto& group : stage.groups) {
-        const double norm = torch::nn::utils::clip_grad_norm_(
-            group, stage.optimiser.clip_norm > 0 ? stage.optimiser.clip_norm : std::numeric_limits<double>::infinity());
-        if (!std::isfinite(norm)) diverged("a gradient is not finite");
+        if (!std::isfinite(clip_gradients(group, stage.optimiser.clip_norm))) diverged("a gradient is not finite");
       }
       for (auto& group : optimiser.param_groups())
         static_cast<torch::optim::AdamWOptions&>(group.options()).lr(rate);

@@ -101,7 +101,8 @@ TEST_CASE("netepu refuses what does not fit, in one sentence, with exit status 2
   b.refuses("train-texture data --config small.toml --geometry g/state.netepu -o t", "is a training state, not a model");
   b.refuses("train-texture data --config small.toml --geometry g/model.netepu --coats 7 -o t", "7");
   b.refuses("eval g/state.netepu data", "is a training state");
-  b.refuses("eval g/model.netepu bare", "NNOPCS");
+  b.refuses("eval g/model.netepu bare --geometry-only", "NNOPCS");
+  b.refuses("eval g/model.netepu data", "geometry only, no texture networks");
   b.refuses("eval g/model.netepu data --split tests", "tests");
   fs::copy_file(b.folder.path / "g/model.netepu", b.folder.path / "short.netepu");
   fs::resize_file(b.folder.path / "short.netepu", 20000);

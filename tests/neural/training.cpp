@@ -88,7 +88,7 @@ TEST_CASE("the geometry network learns one batch by heart") {
   torch::manual_seed(1);
   GeometryNetwork network(c.model);
   GeometryTraining weights = c.geometry;
-  weights.nnopcs_weight = 20, weights.code_weight = 0;
+  weights.nnopcs_weight = 100, weights.code_weight = 0;
   const Batch batch = first_batch(*tiny.source, c, false);
   torch::optim::AdamW optimiser(network->parameters(), torch::optim::AdamWOptions(3e-3).weight_decay(0));
   GeometryLosses first, last;
@@ -102,11 +102,11 @@ TEST_CASE("the geometry network learns one batch by heart") {
     optimiser.step();
   }
   MESSAGE("silhouette " << last.silhouette.item<double>() / 3 << ", keypoints " << last.keypoints.item<double>() / 2 << ", depth "
-                        << last.depth.item<double>() << ", NNOPCS " << last.nnopcs.item<double>() / 20);
+                        << last.depth.item<double>() << ", NNOPCS " << last.nnopcs.item<double>() / 100);
   CHECK(last.silhouette.item<double>() / 3 < 0.02);  // mean cross-entropy; log 2 = 0.69 for a guess
   CHECK(last.keypoints.item<double>() / 2 < 0.003);  // 9 mm
   CHECK(last.depth.item<double>() < 0.05 * first.depth.item<double>());
-  CHECK(last.nnopcs.item<double>() / 20 < 1e-4);
+  CHECK(last.nnopcs.item<double>() / 100 < 1e-4);
 }
 
 TEST_CASE("the texture networks learn one batch by heart") {
@@ -167,21 +167,21 @@ TEST_CASE("a resumed run equals an uninterrupted one, bit for bit, in both stage
   CHECK_FALSE(model.texture.is_empty());
 }
 
-TEST_CASE("one thread and two give the same weights") {
+// Of the texture stage only the same number of threads gives the same weights: the convolutions of LibTorch (oneDNN) sum their
+// weight gradients by thread.
+TEST_CASE("one thread and two give the same weights of the geometry") {
   const Tiny tiny;
   NetepuConfig c = small_config(*tiny.source);
-  c.geometry.epochs = c.texture.epochs = 2;
+  c.geometry.epochs = 2;
   const int before = at::get_num_threads();
   for (const int threads : {1, 2}) {
     at::set_num_threads(threads);
     Log log;
     const std::string name = std::to_string(threads);
     train_geometry(*tiny.source, c, tiny.run("g" + name), log.control);
-    train_texture(*tiny.source, c, tiny.run("g1") / "model.netepu", tiny.run("t" + name), log.control);
   }
   at::set_num_threads(before);
   check_same(tiny.run("g1") / "state.netepu", tiny.run("g2") / "state.netepu");
-  check_same(tiny.run("t1") / "state.netepu", tiny.run("t2") / "state.netepu");
 }
 
 TEST_CASE("a diverging run ends in a sentence that says where, and keeps what was saved") {
