@@ -26,9 +26,9 @@ TEST_CASE("AdamW in one pass steps as LibTorch's, and goes on from its state") {
     else
       adamw_step(fast);
     reference.step();
-    for (std::size_t i = 0; i < ours.size(); ++i) CHECK(torch::allclose(ours[i], theirs[i], 1e-5, 1e-6));
+    for (std::size_t i = 0; i < ours.size(); ++i) CHECK(torch::allclose(ours[i], theirs[i], 1e-5, 5e-6));
   }
-  CHECK((ours[2] - theirs[2]).abs().max().item<double>() < 1e-6);
+  CHECK((ours[2] - theirs[2]).abs().max().item<double>() < 5e-6);  // of numbers up to 5
   CHECK(torch::equal(ours[3], torch::ones({3})));
 }
 
