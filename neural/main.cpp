@@ -10,6 +10,8 @@
 #include "generator/command_line.h"
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
+#include "generator/progress_bar.h"
+#include "neural/commands_infer.h"
 #include "neural/dataset_source.h"
 #include "neural/training.h"
 
@@ -79,6 +81,150 @@ void add_train_options(CLI::App* app, TrainCommand& c) {
   app->add_option("--max-steps", c.max_steps, "save and stop after so many steps")->type_name("N")->check(CLI::Range(0, 1000000000));
 }
 
+// --- commands that use a trained model ---
+
+void add_model_options(CLI::App* app, ModelChoice& c, int& threads) {
+  app->add_option("--precision", c.precision, "of the larger products")->type_name("float32|bfloat16")->check(CLI::IsMember({"float32", "bfloat16"}));
+  app->add_flag("--plain", c.plain, "straightforward LibTorch instead of the fused operators");
+  app->add_option("--threads", threads, "0: one per core")->type_name("N")->check(CLI::Range(0, 4096));
+}
+
+void add_data_options(CLI::App* app, DatasetChoice& c) {
+  app->add_option("--cache", c.cache, "folder of the packed samples; default: beside the dataset")->type_name("DIR");
+  app->add_option("--coats", c.coats, "these coats only")->type_name("0,11")->delimiter(',');
+  app->add_option("--split", c.split, "train, validate, test, or all")->type_name("NAME")->check(CLI::IsMember({"train", "validate", "test", "all"}));
+  app->add_option("--every-frame", c.every_frame, "every N-th frame of the split")->type_name("N")->check(CLI::Range(1, 1000000));
+  app->add_option("--every-camera", c.every_camera, "every N-th camera")->type_name("N")->check(CLI::Range(1, 1000000));
+  app->add_option("--max-views", c.max_views, "so many pairs of frame and camera, spread evenly; 0: all")->type_name("N")->check(CLI::Range(0, 1000000000));
+}
+
+void add_photo_options(CLI::App* app, PhotoChoice& c) {
+  app->add_option("--photo", c.picture, "a picture of the animal")->type_name("FILE");
+  app->add_option("--photo-mask", c.mask, "its silhouette, white on black, of the same size")->type_name("FILE");
+  app->add_option("--photo-pose", c.pose, "its keypoints and camera")->type_name("FILE.json");
+}
+
+int with_tools(const char* unit, int threads, const std::function<int(const CommandTools&)>& body) {
+  use_threads(threads);
+  ProgressBar bar(unit);
+  CommandTools tools;
+  tools.progress = [&](std::size_t done, std::size_t total, const std::string& stage) { bar.update(done, total, stage); };
+  tools.stop = [] { return stop_wanted.load(); };
+  tools.print = [](const std::string& text) { std::fputs(text.c_str(), stdout); };
+  return body(tools);
+}
+
+// What the options of these commands are stored in, for as long as the program parses and runs.
+struct InferCommands {
+  RenderCommand render;
+  EvalCommand eval;
+  EmbedCommand embed;
+  IdentifyCommand identify;
+  SpeedCommand speed;
+  std::string resolution, speed_config;
+  int threads = 0;
+};
+
+// "1024x768"
+void parse_resolution(const std::string& text, int& width, int& height) {
+  char rest = 0;
+  if (!text.empty() && std::sscanf(text.c_str(), "%dx%d%c", &width, &height, &rest) != 2)
+    input_error("--resolution {}: give it as WIDTHxHEIGHT, e.g. 1024x768", text);
+}
+
+void add_render_command(CLI::App& app, InferCommands& all, int& status) {
+  RenderCommand& r = all.render;
+  CLI::App* c = add_command(app, "render", "Silhouette, depth, NNOPCS and colour of a pose before a camera",
+                            "netepu render model.netepu --dataset out/nepumoo --frame 12 --camera 3 --coat 0 -o out/view", status, [&] {
+                              parse_resolution(all.resolution, r.width, r.height);
+                              return with_tools("views", all.threads, [&](const CommandTools& tools) { return run_render(r, tools); });
+                            });
+  c->add_option("model", r.model.model, "trained model")->required()->type_name("MODEL");
+  c->add_option("-o,--out", r.out, "folder of the pictures")->required()->type_name("DIR");
+  c->add_option("--dataset", r.dataset, "where frame, camera and coat are numbers of")->type_name("DIR");
+  c->add_option("--cache", r.cache, "folder of its packed samples; default: beside it")->type_name("DIR");
+  c->add_option("--frame", r.frame, "pose of this frame")->type_name("N");
+  c->add_option("--pose", r.pose, "pose of this file: {\"keypoints\": [[x, y, z], ...]}, metres")->type_name("FILE.json");
+  c->add_option("--camera", r.camera, "camera of the dataset")->type_name("N");
+  c->add_option("--camera-file", r.camera_file, "{world_to_camera, fx, fy, cx, cy, width, height}; default: the pose file's")->type_name("FILE.json");
+  c->add_option("--resolution", all.resolution, "instead of the camera's own")->type_name("WxH");
+  c->add_option("--coat", r.coat, "texture of the dataset's view with this coat")->type_name("N");
+  c->add_option("--coat-frame", r.coat_frame, "frame of that view; default: the rendered one")->type_name("N");
+  c->add_option("--coat-camera", r.coat_camera, "camera of that view; default: the rendered one")->type_name("N");
+  add_photo_options(c, r.photo);
+  c->add_option("--code", r.code, "texture of a file that embed wrote")->type_name("FILE.npy");
+  c->add_option("--code-row", r.code_row, "row of it")->type_name("N");
+  c->add_option("--mask-cell", r.mask_cell, "first grid of the silhouette in pixels, a power of two; 0: a 64th of the picture")->type_name("N");
+  c->add_option("--surface-cell", r.surface_cell, "grid between which depth and NNOPCS are interpolated; 1: every pixel")->type_name("N");
+  c->add_flag("--every-pixel", r.every_pixel, "no shortcuts: evaluate every pixel of the picture");
+  add_model_options(c, r.model, all.threads);
+}
+
+void add_infer_commands(CLI::App& app, InferCommands& all, int& status) {
+  add_render_command(app, all, status);
+
+  EvalCommand& e = all.eval;
+  CLI::App* c = add_command(app, "eval", "Errors of reconstruction on a split, beside the paper's",
+                            "netepu eval model.netepu out/nepumoo -o out/eval", status, [&] {
+                              return with_tools("views", all.threads, [&](const CommandTools& tools) { return run_eval(e, tools); });
+                            });
+  c->add_option("model", e.model.model, "trained model")->required()->type_name("MODEL");
+  c->add_option("dataset", e.data.dataset, "dataset folder")->required()->type_name("DIR");
+  c->add_option("-o,--out", e.out, "folder of the results")->type_name("DIR");
+  add_data_options(c, e.data);
+  c->add_flag("--geometry-only", e.geometry_only, "leave colour out");
+  c->add_flag("--true-codes", e.true_codes, "encode with the dataset's silhouette and NNOPCS, not the model's own");
+  c->add_option("--code-camera-shift", e.code_camera_shift, "encode the picture of so many cameras further on")->type_name("N");
+  c->add_option("--pictures", e.pictures, "views to show")->type_name("N")->check(CLI::Range(0, 100));
+  c->add_flag("--enforce", e.enforce, "exit status 1 where a figure misses its bound");
+  add_model_options(c, e.model, all.threads);
+
+  EmbedCommand& m = all.embed;
+  c = add_command(app, "embed", "Texture codes of views, or of one photo", "netepu embed model.netepu out/nepumoo -o out/codes.npy",
+                  status, [&] {
+                    return with_tools("views", all.threads, [&](const CommandTools& tools) { return run_embed(m, tools); });
+                  });
+  c->add_option("model", m.model.model, "trained model")->required()->type_name("MODEL");
+  c->add_option("dataset", m.data.dataset, "dataset folder; without it, a photo")->type_name("DIR");
+  c->add_option("-o,--out", m.out, "codes as NumPy; a .jsonl beside it names the views")->required()->type_name("FILE.npy");
+  add_data_options(c, m.data);
+  add_photo_options(c, m.photo);
+  c->add_option("--name", m.photo_name, "whose photo it is, where that is known")->type_name("NAME");
+  c->add_flag("--true-maps", m.true_maps, "encode with the dataset's silhouette and NNOPCS, not the model's own");
+  c->add_option("--surface-cell", m.surface_cell, "grid between which NNOPCS is interpolated; 1: every pixel")->type_name("N");
+  add_model_options(c, m.model, all.threads);
+
+  IdentifyCommand& i = all.identify;
+  c = add_command(app, "identify", "Names individuals by their nearest codes, and how often that is right",
+                  "netepu identify out/codes.npy -o out/identification", status, [&] {
+                    return with_tools("codes", all.threads, [&](const CommandTools& tools) { return run_identify(i, tools); });
+                  });
+  c->add_option("queries", i.queries, "codes of embed")->required()->type_name("FILE.npy");
+  c->add_option("--gallery", i.gallery, "codes of known individuals; default: the queries, other poses and cameras")->type_name("FILE.npy");
+  c->add_option("-o,--out", i.out, "folder of the results")->type_name("DIR");
+  c->add_option("--distance", i.distance, "between codes")->type_name("cosine|euclidean")->check(CLI::IsMember({"cosine", "euclidean"}));
+  c->add_flag("--enforce", i.enforce, "exit status 1 where a figure misses its bound");
+  c->add_option("--threads", all.threads, "0: one per core")->type_name("N")->check(CLI::Range(0, 4096));
+
+  SpeedCommand& s = all.speed;
+  c = add_command(app, "speed", "Re-identified views a second, and what the shortcuts change",
+                  "netepu speed out/nepumoo --model model.netepu -o out/speed", status, [&] {
+                    parse_resolution(all.resolution, s.width, s.height);
+                    if (!all.speed_config.empty()) s.config = config_file(all.speed_config);
+                    return with_tools("views", all.threads, [&](const CommandTools& tools) { return run_speed(s, tools); });
+                  });
+  c->add_option("dataset", s.data.dataset, "poses, cameras and pictures")->required()->type_name("DIR");
+  c->add_option("--model", s.model.model, "trained model")->type_name("MODEL");
+  c->add_option("--config", all.speed_config, "random weights of a configuration instead")->type_name("FILE.toml");
+  c->add_option("-o,--out", s.out, "folder of the results")->type_name("DIR");
+  c->add_option("--cache", s.data.cache, "folder of the packed samples; default: beside the dataset")->type_name("DIR");
+  c->add_option("--resolution", all.resolution, "of the rendered maps; default: 1024x768")->type_name("WxH");
+  c->add_option("--views", s.views, "so many")->type_name("N")->check(CLI::Range(1, 10000));
+  c->add_option("--repeats", s.repeats, "of every view")->type_name("N")->check(CLI::Range(1, 1000));
+  c->add_option("--surface-cell", s.surface_cell, "grid of the interpolated variant")->type_name("N");
+  add_model_options(c, s.model, all.threads);
+}
+
 int run(int argc, char** argv) {
   CLI::App app("Neural Texture Puppeteer: trains, renders and identifies animals on datasets of moomill.", "netepu");
   app.set_version_flag("--version", "netepu " MOOMILL_VERSION);
@@ -98,6 +244,8 @@ int run(int argc, char** argv) {
   c->add_option("--geometry", texture.geometry, "trained geometry, its weights stay as they are")->required()->type_name("MODEL");
   c->add_option("--coats", texture.coats, "train on these coats only")->type_name("0,11")->delimiter(',');
 
+  InferCommands infer;
+  add_infer_commands(app, infer, status);
   return parse_and_run(app, argc, argv, status);
 }
 
@@ -116,5 +264,12 @@ void start_with_quiet_threads(char** argv) {
 int main(int argc, char** argv) {
   start_with_quiet_threads(argv);
   keep_memory_mapped();
-  return run_program("netepu", "use a smaller batch, or [texture] micro_batch", [&] { return run(argc, argv); });
+  return run_program("netepu", "use a smaller batch, or [texture] micro_batch", [&] {
+    try {
+      return run(argc, argv);
+    } catch (const c10::Error& e) {  // what() has a backtrace
+      const std::string what = e.what_without_backtrace();
+      run_error("LibTorch refused: {}", what.substr(0, what.find('\n')));
+    }
+  });
 }

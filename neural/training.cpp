@@ -82,19 +82,26 @@ GeometryLosses geometry_losses(GeometryNetwork& network, const Batch& batch, con
   return l;
 }
 
+FrozenGeometry freeze(GeometryNetwork& geometry, const Batch& batch) {
+  torch::NoGradGuard fixed;
+  FrozenGeometry f;
+  f.pose = geometry->encode(batch.noisy_keypoints);
+  if (geometry->config().surface_octaves > 0) {
+    const ViewFeatures view = geometry->view(f.pose, camera_of(batch));
+    f.nnopcs = geometry->nnopcs(geometry->attend(view, batch.surface_points));
+  }
+  return f;
+}
+
 TextureLosses texture_losses(GeometryNetwork& geometry, TextureNetwork& texture, const Batch& batch, const TextureTraining& w,
                              const Tensor& noise) {
-  Pose3d pose;
-  {
-    torch::NoGradGuard frozen;
-    pose = geometry->encode(batch.noisy_keypoints);
-  }
+  const FrozenGeometry frozen = freeze(geometry, batch);
   const TextureCode code = texture->encode(batch.images);
   const Tensor logvar = code.logvar.clamp(least_logvar, greatest_logvar);
   const Tensor drawn = noise.defined() ? code.mean + noise * (logvar / 2).exp() : code.mean;
-  const ViewFeatures view = texture->view(drawn, pose, camera_of(batch));
+  const ViewFeatures view = texture->view(drawn, frozen.pose, camera_of(batch));
   TextureLosses l;
-  l.color = w.color_weight * (texture->color(view, batch.surface_points) - batch.color).square().mean();
+  l.color = w.color_weight * (texture->color(view, batch.surface_points, frozen.nnopcs) - batch.color).square().mean();
   l.divergence = w.divergence_weight * (-0.5 * (1 + logvar - code.mean.square() - logvar.exp()).sum());
   return l;
 }
@@ -141,19 +148,18 @@ TrainingEnd train_geometry(const SampleSource& source, const NetepuConfig& confi
       const Tensor outline = model.geometry->attend(view, b.silhouette_points), surface = model.geometry->attend(view, b.surface_points);
       const GeometryLosses l = geometry_losses(model.geometry, b, g);
       mean.add(0, l.total().item<double>(), n);
-      // Depth in millimetres: predicted in the range of the decoded keypoints, held against the true one.
-      const Tensor z = view.near_depth.unsqueeze(1) + model.geometry->depth(surface) * view.depth_range.unsqueeze(1);
-      const Tensor truth = b.near_depth.unsqueeze(1) + b.depth * b.depth_range.unsqueeze(1);
-      mean.add(1, 1e3 * (z - truth).abs().mean().item<double>(), n);
+      // In the range of the given keypoints, as the targets are.
+      const Tensor depth_error = (model.geometry->depth(surface) - b.depth) * b.depth_range.unsqueeze(1);
+      mean.add(1, 1e3 * depth_error.abs().mean().item<double>(), n);
       mean.add(2, ((model.geometry->silhouette(outline) > 0) != (b.silhouette > 0.5)).to(torch::kFloat).mean().item<double>(), n);
       const Tensor offset = pose.keypoints * (2 * config.model.reader_radius) - b.keypoints;
       mean.add(3, 1e3 * offset.square().sum(2).sqrt().mean().item<double>(), n);
       if (config.model.nnopcs) mean.add(4, (model.geometry->nnopcs(surface) - b.nnopcs).square().mean().item<double>(), n);
     }
     Scalars figures{{"loss", mean.of(0)},
-                    {"depth MAE, mm", mean.of(1)},
+                    {"depth MAE (mm)", mean.of(1)},
                     {"wrong silhouette points", mean.of(2)},
-                    {"keypoint error, mm", mean.of(3)}};
+                    {"keypoint error (mm)", mean.of(3)}};
     if (config.model.nnopcs) figures.emplace_back("NNOPCS MSE", mean.of(4));
     return figures;
   };
@@ -215,14 +221,15 @@ TrainingEnd train_texture(const SampleSource& source, const NetepuConfig& config
       const Batch b = source.batch(validation, 0, i);
       const auto n = static_cast<double>(b.views.size());
       const TextureCode code = model.texture->encode(b.images);
-      const ViewFeatures view = model.texture->view(code.mean, model.geometry->encode(b.keypoints), camera_of(b));
-      const Tensor error = (model.texture->color(view, b.surface_points).clamp(0, 1) - b.color).square().mean({1, 2});
+      const FrozenGeometry frozen = freeze(model.geometry, b);
+      const ViewFeatures view = model.texture->view(code.mean, frozen.pose, camera_of(b));
+      const Tensor error = (model.texture->color(view, b.surface_points, frozen.nnopcs).clamp(0, 1) - b.color).square().mean({1, 2});
       mean.add(0, error.mean().item<double>(), n);
       mean.add(1, (-10 * (error + 1e-10).log10()).mean().item<double>(), n);
       const Tensor flat = (b.color - b.color.mean(1, true)).square().mean({1, 2});
       mean.add(2, (-10 * (flat + 1e-10).log10()).mean().item<double>(), n);
     }
-    return {{"color MSE", mean.of(0)}, {"PSNR in the mask, dB", mean.of(1)}, {"PSNR above the mean colour, dB", mean.of(1) - mean.of(2)}};
+    return {{"color MSE", mean.of(0)}, {"PSNR in the mask (dB)", mean.of(1)}, {"PSNR above the mean colour (dB)", mean.of(1) - mean.of(2)}};
   };
   stage.save_best = [&](const std::filesystem::path& file, const nlohmann::json& provenance) {
     model.provenance["texture"] = provenance;

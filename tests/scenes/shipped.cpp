@@ -83,6 +83,22 @@ TEST_CASE("the occlusion and novel-view sets have the animal of the main set") {
   CHECK(novel.frames.back() == 901);
 }
 
+TEST_CASE("what the networks learn from: 89,280 views, and novel views of poses they are not trained on") {
+  const SceneSpec main = shipped("netepu.toml"), novel = shipped("netepu_novel.toml");
+  CHECK(plan(main).json["views"] == 89280);
+  CHECK(plan(novel).json["views"] == 14 * 10 * 12);
+  CHECK(novel.seed == main.seed);
+  CHECK(novel.resolved["animals"][0] == main.resolved["animals"][0]);
+  CHECK(novel.resolved["light"] == main.resolved["light"]);
+  const std::vector<int> test = make_splits(main.frames).test;
+  for (const int frame : novel.frames) {
+    CAPTURE(frame);
+    CHECK(std::find(test.begin(), test.end(), frame) != test.end());
+  }
+  for (const CameraRecord& c : cameras_of_frame(novel, 1))
+    for (const CameraRecord& other : cameras_of_frame(main, 1)) CHECK(glm::length(c.centre - other.centre) > 1);
+}
+
 TEST_CASE("the default cameras and the further ones frame every pose of the main set") {
   const SceneSpec main = shipped("nepumoo.toml"), novel = shipped("novel_views.toml");
   std::vector<CameraRecord> cameras = cameras_of_frame(main, 1);
