@@ -1,7 +1,7 @@
 #pragma once
 // In which numbers activations are kept for the large products: those of the rest of the kernel, or bfloat16. Weights
 // of bfloat16 are packed in pairs along k in the place of one float, so a block of them has half as many rows; see
-// pack_pairs in operators.cpp. Included only by files compiled for one instruction set; see vector.h.
+// pack_pairs in operator_tools.h. Included only by files compiled for one instruction set; see vector.h.
 #include "neural/kernels/layout.h"
 #include "neural/kernels/product.h"
 

@@ -6,6 +6,7 @@
 
 #include "generator/core/error.h"
 #include "neural/kernels/cpu.h"
+#include "neural/operator_tools.h"
 #include "tests/neural/doctest_torch.h"
 #include "tests/neural/plain_operators.h"
 
@@ -438,4 +439,31 @@ TEST_CASE("bfloat16 products stay near float, and are refused where the processo
   const torch::NoGradGuard no_grad;
   terms.query[1][0] = NAN;
   CHECK(fused_attention(terms, Precision::bfloat16).isnan().any(2).sum().item<int>() == 1);
+}
+
+TEST_CASE("what is kept for the backward pass changes no bit, wherever it ends") {
+  const AttentionTerms terms = random_terms(
+      {.frames = 5, .queries = 30, .keys = 12, .neighbours = 6, .components = 2, .channels = 64}, at::kFloat, 120);
+  const HeadWeights weights = random_head(32, 64, 3, 2, at::kFloat, 121);
+  const Tensor y = Dice(122, at::kFloat).normal({700, 32});
+  auto head_inputs = differentiable(weights);
+  head_inputs.push_back(y);
+  const std::int64_t before = most_kept_bytes;
+  auto gradients = [&](std::int64_t bytes) {
+    most_kept_bytes = bytes;
+    auto all = gradients_of(fused_attention(terms), differentiable(terms), 123);
+    for (const Tensor& gradient : gradients_of(fused_head(y, weights), head_inputs, 124)) all.push_back(gradient);
+    most_kept_bytes = before;
+    return all;
+  };
+  const auto nothing = gradients(0);
+  // Two of five frames (30 x 7 x 64 floats each); of the head's tiles those that half of it holds; everything.
+  for (const std::int64_t bytes : {std::int64_t{110'000}, std::int64_t{1'200'000}, before}) {
+    CAPTURE(bytes);
+    const auto some = gradients(bytes);
+    for (std::size_t i = 0; i < nothing.size(); ++i) {
+      CAPTURE(i);
+      CHECK(at::equal(nothing[i], some[i]));
+    }
+  }
 }

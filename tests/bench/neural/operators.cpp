@@ -68,6 +68,24 @@ void attention(benchmark::State& state, Case c, bool fused, Precision precision)
   report(state, 3.0 * c.attention.frames * c.attention.queries * (2 * d * d * (n + 1) + 4 * rows * d * n));
 }
 
+// Self-attention of keypoints, with gradients of positions.
+void self_attention(benchmark::State& state, Case c, bool fused, Precision precision) {
+  set_threads(state);
+  if (precision == Precision::bfloat16 && !has_bfloat16()) return state.SkipWithError("no AVX512-BF16");
+  const int k = c.attention.keys, rows = 33;
+  plain::Sizes sizes = c.attention;
+  sizes.queries = k, sizes.neighbours = 0, sizes.components = 3, sizes.extra = sizes.shared_query = false;
+  const AttentionTerms terms = plain::random_terms(sizes, at::kFloat, 1);
+  const auto inputs = plain::differentiable(terms);
+  const torch::Tensor gradient = at::ones({sizes.frames, k, sizes.channels});
+  for (auto _ : state) {
+    const torch::Tensor out = fused ? fused_attention(terms, precision) : plain::attention(terms);
+    benchmark::DoNotOptimize(torch::autograd::grad({out}, inputs, {gradient}));
+  }
+  const double d = sizes.channels;
+  report(state, 3.0 * sizes.frames * k * k * (2 * d * d + 4 * rows * d));
+}
+
 void head(benchmark::State& state, Case c, bool fused, Precision precision) {
   set_threads(state);
   if (precision == Precision::bfloat16 && !has_bfloat16()) return state.SkipWithError("no AVX512-BF16");
@@ -109,6 +127,9 @@ MOOMILL_BENCH(attention, compact_bfloat16_64, compact(64), true, Precision::bflo
 MOOMILL_BENCH(attention, paper_plain_2, paper(2), false, Precision::float32);
 MOOMILL_BENCH(attention, paper_fused_2, paper(2), true, Precision::float32);
 MOOMILL_BENCH(attention, paper_bfloat16_2, paper(2), true, Precision::bfloat16);
+MOOMILL_BENCH(self_attention, compact_plain_64, compact(64), false, Precision::float32);
+MOOMILL_BENCH(self_attention, compact_fused_64, compact(64), true, Precision::float32);
+MOOMILL_BENCH(self_attention, compact_bfloat16_64, compact(64), true, Precision::bfloat16);
 MOOMILL_BENCH(head, compact_plain_64, compact(64), false, Precision::float32);
 MOOMILL_BENCH(head, compact_fused_64, compact(64), true, Precision::float32);
 MOOMILL_BENCH(head, compact_bfloat16_64, compact(64), true, Precision::bfloat16);

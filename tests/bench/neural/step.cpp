@@ -3,6 +3,7 @@
 #include <benchmark/benchmark.h>
 #include <torch/torch.h>
 
+#include "neural/adamw.h"
 #include "neural/training.h"
 
 using namespace moomill;
@@ -62,7 +63,7 @@ void geometry_step(benchmark::State& state, const char* name, int frames, bool f
   for (auto _ : state) {
     optimiser.zero_grad();
     geometry_losses(network, batch, g).total().backward();
-    optimiser.step();
+    fused ? adamw_step(optimiser) : (void)optimiser.step();
   }
 }
 
@@ -80,7 +81,7 @@ void texture_step(benchmark::State& state, const char* name, int frames, bool fu
   for (auto _ : state) {
     optimiser.zero_grad();
     texture_losses(geometry, texture, batch, t, noise).total().backward();
-    optimiser.step();
+    fused ? adamw_step(optimiser) : (void)optimiser.step();
   }
 }
 
