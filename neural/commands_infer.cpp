@@ -5,6 +5,7 @@
 #include "generator/core/error.h"
 #include "generator/dataset/codecs.h"
 #include "generator/dataset/json.h"
+#include "neural/dataset_source.h"
 #include "neural/evaluate.h"
 #include "neural/identify.h"
 #include "neural/pose_file.h"
