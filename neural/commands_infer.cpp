@@ -1,5 +1,6 @@
 #include "neural/commands_infer.h"
 
+
 #include <fmt/format.h>
 
 #include "generator/core/error.h"
@@ -246,7 +247,7 @@ int run_render(const RenderCommand& command, const CommandTools& tools) {
     write_exr(command.out / "nnopcs.exr", maps.nnopcs, exr_channel_names(Modality::nnopcs));
   }
   if (code.defined()) {
-    const Tensor color = render_color(model.texture, code, view, animal, maps.mask, refine);
+    const Tensor color = render_color(model, code, view, animal, maps.mask, refine);
     write_png(command.out / "color.png", with_alpha(picture_of(color[0]), mask1));
   }
   print(tools, fmt::format("{}: {} x {} pixels, {} of them inside, {} points evaluated\n", command.out.string(),

@@ -22,6 +22,7 @@ void fields(ModelConfig& m, F&& f) {
   f("position_gradient", m.position_gradient, 0, 1);
   f("reader_radius_m", m.reader_radius, 1e-6, 1e6);
   f("nnopcs", m.nnopcs, 0, 1);
+  f("surface_octaves", m.surface_octaves, 0, 16);
   f("image_channels", m.image_channels, 1, 8192);
   f("image_blocks", m.image_blocks, 1, 64);
   f("code_activation", m.code_activation, 0, 1);
@@ -124,6 +125,7 @@ nlohmann::json json_of(const T& value) {
 void check_model(const ModelConfig& m, const std::string& place) {
   for (const auto& [name, value] : {std::pair{"local_features", m.local_features}, {"head_width", m.head_width}})
     if (value % 16 != 0) input_error("{}: '{}' must be a multiple of 16, not {}", place, name, value);
+  if (m.surface_octaves > 0 && !m.nnopcs) input_error("{}: 'surface_octaves' needs nnopcs = true, or must be 0", place);
 }
 
 }  // namespace

@@ -23,6 +23,7 @@ struct ModelConfig {
   bool position_gradient = true; // the decoded keypoints also learn through the positions that later attention sees (public code)
   double reader_radius = 1.5;    // metres; keypoints are divided by twice this
   bool nnopcs = true;            // an NNOPCS head, and NNOPCS as input of the texture encoder
+  int surface_octaves = 0;       // of the predicted NNOPCS at a pixel, which the colour head also sees; 0: it does not (published)
   std::vector<int> image_channels{16, 32, 64, 128, 256};  // stages of the texture encoder, the first also its stem
   int image_blocks = 2;          // residual blocks a stage
   bool code_activation = true;   // leaky ReLU on mean and log-variance, as in the public code; the paper has none

@@ -192,7 +192,7 @@ class Evaluator {
     for (const int coat : result_.coats)
       pictures.push_back(source_.view({s.truth.id.frame, s.truth.id.camera, coat}).color);
     const Tensor colors =
-        render_color(model_.texture, codes_of(s, pictures), s.view, s.animal, s.either, options_.refine);
+        render_color(model_, codes_of(s, pictures), s.view, s.animal, s.either, options_.refine);
     const Tensor everywhere = torch::ones_like(s.truth.mask);
     for (std::size_t i = 0; i < pictures.size(); ++i) {
       const Tensor& picture = pictures[i];

@@ -152,7 +152,7 @@ ViewMaps render_maps(GeometryNetwork& geometry, const AnimalView& view, const Po
                         evaluated);
 }
 
-Tensor render_color(TextureNetwork& texture, const Tensor& codes, const AnimalView& view, const PosedAnimal& animal,
+Tensor render_color(Model& model, const Tensor& codes, const AnimalView& view, const PosedAnimal& animal,
                     const Tensor& mask, const RefineOptions& options) {
   const Inference guard;
   const std::int64_t coats = codes.size(0);
@@ -164,9 +164,12 @@ Tensor render_color(TextureNetwork& texture, const Tensor& codes, const AnimalVi
   };
   const Pose3d pose{repeat(animal.pose.code), repeat(animal.pose.keypoints), repeat(animal.pose.features)};
   const CameraBatch camera{repeat(view.batch.world_to_camera), repeat(view.batch.keypoints_2d)};
-  const ViewFeatures features = texture->view(codes, pose, camera);
+  const ViewFeatures features = model.texture->view(codes, pose, camera);
+  const bool surface_seen = model.config.model.surface_octaves > 0;
   const PointFunction colors = [&](const Tensor& points) {  // [M, 2] to [M, 3 T]
-    const Tensor c = texture->color(features, points.unsqueeze(0).expand({coats, points.size(0), 2}).contiguous());
+    const Tensor one = points.unsqueeze(0);
+    const Tensor nnopcs = surface_seen ? model.geometry->nnopcs(model.geometry->attend(view.features, one)) : Tensor();
+    const Tensor c = model.texture->color(features, one.expand({coats, points.size(0), 2}).contiguous(), nnopcs);
     return c.permute({1, 0, 2}).reshape({points.size(0), 3 * coats});
   };
   RefineOptions exact = options;

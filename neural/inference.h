@@ -68,7 +68,7 @@ ViewMaps render_maps(GeometryNetwork& geometry, const AnimalView& view, const Po
                      std::int64_t* evaluated = nullptr);
 
 // Colours of coats inside a mask: codes [T, z] to sRGB [T, 3, h, w], clamped to [0, 1], 0 outside.
-torch::Tensor render_color(TextureNetwork& texture, const torch::Tensor& codes, const AnimalView& view,
+torch::Tensor render_color(Model& model, const torch::Tensor& codes, const AnimalView& view,
                            const PosedAnimal& animal, const torch::Tensor& mask, const RefineOptions& options);
 
 // Codes (means) of pictures of one view: colors [T, 3, h, w] sRGB, mask and NNOPCS of that view, to [T, z]. Resized to

@@ -264,5 +264,12 @@ void start_with_quiet_threads(char** argv) {
 int main(int argc, char** argv) {
   start_with_quiet_threads(argv);
   keep_memory_mapped();
-  return run_program("netepu", "use a smaller batch, or [texture] micro_batch", [&] { return run(argc, argv); });
+  return run_program("netepu", "use a smaller batch, or [texture] micro_batch", [&] {
+    try {
+      return run(argc, argv);
+    } catch (const c10::Error& e) {  // what() has a backtrace
+      const std::string what = e.what_without_backtrace();
+      run_error("LibTorch refused: {}", what.substr(0, what.find('\n')));
+    }
+  });
 }

@@ -1,5 +1,7 @@
 #include "neural/networks.h"
 
+#include <numbers>
+
 #include "generator/core/error.h"
 
 namespace moomill {
@@ -383,6 +385,7 @@ struct TextureNetworkImpl::Parts {
   std::shared_ptr<FeatureDecoder> decoder;
   std::shared_ptr<ViewAttention> renderer;
   std::shared_ptr<Head> color;
+  nn::Linear surface{nullptr};
 };
 
 TextureNetworkImpl::TextureNetworkImpl(const ModelConfig& c) : config_(c), parts_(std::make_shared<Parts>()) {
@@ -404,6 +407,7 @@ TextureNetworkImpl::TextureNetworkImpl(const ModelConfig& c) : config_(c), parts
   p.decoder = register_module("decoder_features", std::make_shared<FeatureDecoder>(c));
   p.renderer = register_module("renderer", std::make_shared<ViewAttention>(c));
   p.color = register_module("head_color", std::make_shared<Head>(c.local_features, c.head_width, c.head_blocks, 3));
+  if (c.surface_octaves > 0) p.surface = register_module("surface", nn::Linear(3 * (1 + 2 * c.surface_octaves), c.local_features));
 }
 
 TextureCode TextureNetworkImpl::encode(const Tensor& images) {
@@ -422,15 +426,28 @@ ViewFeatures TextureNetworkImpl::view(const Tensor& code, const Pose3d& pose, co
   return parts_->renderer->view(code, pose.keypoints, features, camera, evaluation);
 }
 
-Tensor TextureNetworkImpl::color(const ViewFeatures& view, const Tensor& points) {
-  return parts_->color->forward(parts_->renderer->attend(view, points, evaluation), evaluation);
+Tensor TextureNetworkImpl::color(const ViewFeatures& view, const Tensor& points, const Tensor& nnopcs) {
+  Tensor features = parts_->renderer->attend(view, points, evaluation);
+  if (config_.surface_octaves > 0) {
+    check(nnopcs.defined(), "TextureNetwork: colour sees the NNOPCS");
+    std::vector<Tensor> code{nnopcs};
+    for (int k = 0; k < config_.surface_octaves; ++k) {
+      const Tensor phase = nnopcs * (std::numbers::pi * (1 << k));
+      code.push_back(torch::sin(phase));
+      code.push_back(torch::cos(phase));
+    }
+    features = features + parts_->surface(torch::cat(code, -1));
+  }
+  return parts_->color->forward(features, evaluation);
 }
 
 std::vector<std::vector<Tensor>> TextureNetworkImpl::clip_groups() {
   const Parts& p = *parts_;
   std::vector<std::shared_ptr<nn::Module>> encoder{p.stem.ptr(), p.stem_norm.ptr(), p.code_first.ptr(), p.code_second.ptr()};
   encoder.insert(encoder.end(), p.blocks.begin(), p.blocks.end());
-  return groups_of({encoder, {p.decoder}, {p.renderer, p.color}});
+  std::vector<std::shared_ptr<nn::Module>> renderer{p.renderer, p.color};
+  if (!p.surface.is_empty()) renderer.push_back(p.surface.ptr());
+  return groups_of({encoder, {p.decoder}, renderer});
 }
 
 std::int64_t count_parameters(const nn::Module& module) {

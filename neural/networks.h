@@ -68,7 +68,9 @@ class TextureNetworkImpl : public torch::nn::Module {
   TextureCode encode(const torch::Tensor& images);
   // Features of the texture at the decoded keypoints, then seen by a camera. code: [B, z], usually the mean.
   ViewFeatures view(const torch::Tensor& code, const Pose3d& pose, const CameraBatch& camera);
-  torch::Tensor color(const ViewFeatures& view, const torch::Tensor& points);  // [B, M, 2] to sRGB [B, M, 3], not clamped
+  // [B, M, 2] to sRGB [B, M, 3], not clamped. nnopcs: [B, M, 3] (B may be 1), as the geometry predicts it there; only read where the
+  // configuration has surface_octaves.
+  torch::Tensor color(const ViewFeatures& view, const torch::Tensor& points, const torch::Tensor& nnopcs);
   std::vector<std::vector<torch::Tensor>> clip_groups();  // encoder, decoder, renderer
   Evaluation evaluation;
   const ModelConfig& config() const { return config_; }

@@ -23,6 +23,11 @@ using torch::autograd::variable_list;
 // threads.
 constexpr std::int64_t most_parts = 16;
 
+// What the forward pass keeps for the backward pass beside its inputs, where computing it anew costs more than writing
+// and reading it: at most so many bytes a call; the rest is computed anew.
+constexpr std::size_t most_kept_bytes = std::size_t{1} << 30;
+constexpr std::int64_t least_kept_channels = 64;
+
 // Calls work(index, scratch) for every index below count; scratch is the thread's own.
 template <class Work>
 void for_each(std::int64_t count, std::size_t scratch_bytes, Work work) {
@@ -43,6 +48,11 @@ Tensor sum_in_order(const Tensor& parts) {
   return sum;
 }
 
+// 64-byte aligned, as the kernels want it.
+Tensor memory_for_keeping(std::int64_t bytes) {
+  return at::empty({bytes}, at::kByte);
+}
+
 // [.., rows, columns] with rows padded_row(columns) apart.
 Tensor spread_rows(const Tensor& matrix) {
   auto sizes = matrix.sizes().vec();
@@ -54,12 +64,14 @@ Tensor spread_rows(const Tensor& matrix) {
 }
 
 // [.., k, n] in bfloat16, consecutive pairs along k side by side in the place of a float: [.., k / 2, n], rows spread.
+// An odd last row is paired with zeros.
 Tensor pack_pairs(const Tensor& matrix) {
-  auto sizes = matrix.sizes().vec();
+  const Tensor even =
+      at::constant_pad_nd(matrix.detach(), {0, 0, 0, matrix.size(-2) % 2}).to(at::kBFloat16).contiguous();
+  auto sizes = even.sizes().vec();
   sizes.insert(sizes.end() - 1, 2);
   sizes[sizes.size() - 3] /= 2;
-  const Tensor pairs = matrix.detach().to(at::kBFloat16).contiguous().view(sizes).transpose(-1, -2).contiguous();
-  return spread_rows(pairs.view(at::kFloat).squeeze(-1));
+  return spread_rows(even.view(sizes).transpose(-1, -2).contiguous().view(at::kFloat).squeeze(-1));
 }
 
 Tensor pack(const Tensor& matrix, bool bfloat16) {
@@ -86,6 +98,11 @@ void check_precision(Precision precision, at::ScalarType type) {
   check(type == at::kFloat, "bfloat16 products of float tensors only");
 }
 
+bool will_differentiate(const variable_list& inputs) {
+  if (!at::GradMode::is_enabled()) return false;
+  return std::any_of(inputs.begin(), inputs.end(), [](const Tensor& t) { return t.defined() && t.requires_grad(); });
+}
+
 // ---- attention ----
 
 enum AttentionInput {
@@ -103,19 +120,38 @@ enum AttentionInput {
   attention_inputs
 };
 
+// Arguments of the kernels that are the same for all frames, and the memory they point to.
 template <class T>
-AttentionArguments<T> attention_arguments(const variable_list& in) {
-  AttentionArguments<T> a;
-  a.channels = int(in[key].size(2));
-  a.components = int(in[key_position].size(2));
-  a.keys = int(in[key].size(1));
-  a.neighbours = in[neighbours].defined() ? int(in[neighbours].size(2)) : a.keys;
-  a.has_extra = in[extra_key].defined();
-  a.shared_query = in[query].size(1) == 1 && in[query_position].size(1) != 1;
-  a.logit_code = data<T>(in[logit_code]);
-  a.value_code = data<T>(in[value_code]);
-  return a;
-}
+struct PackedAttention {
+  AttentionArguments<T> arguments;
+  std::vector<Tensor> owned;
+
+  const T* keep(const Tensor& tensor) {
+    owned.push_back(tensor);
+    return data<T>(tensor);
+  }
+
+  PackedAttention(const variable_list& in, bool backward, bool bfloat16) {
+    AttentionArguments<T>& a = arguments;
+    a.channels = int(in[key].size(2));
+    a.components = int(in[key_position].size(2));
+    a.keys = int(in[key].size(1));
+    a.neighbours = in[neighbours].defined() ? int(in[neighbours].size(2)) : a.keys;
+    a.has_extra = in[extra_key].defined();
+    a.shared_query = in[query].size(1) == 1 && in[query_position].size(1) != 1;
+    a.logit_code = keep(pack(in[logit_code], bfloat16));
+    a.value_code = keep(pack(in[value_code], bfloat16));
+    a.mix_transposed = keep(pack(in[mix].t(), bfloat16));
+    if (!backward) return;
+    a.mix = keep(pack(in[mix], bfloat16));
+    if (!in[query_position].requires_grad() && !in[key_position].requires_grad()) return;
+    auto transposed = [&](const Tensor& code) {
+      return at::constant_pad_nd(code.detach().t(), {0, code_columns(a.components) - code.size(0)});
+    };
+    a.logit_code_transposed = keep(pack(transposed(in[logit_code]), bfloat16));
+    a.value_code_transposed = keep(pack(transposed(in[value_code]), bfloat16));
+  }
+};
 
 // The arguments of one frame.
 template <class T>
@@ -131,39 +167,39 @@ AttentionArguments<T> of_frame(AttentionArguments<T> a, const variable_list& in,
   return a;
 }
 
+void* kept_of_frame(const Tensor& kept, std::int64_t frame, std::int64_t frame_bytes) {
+  return (frame + 1) * frame_bytes <= kept.numel() ? kept.data_ptr<std::uint8_t>() + frame * frame_bytes : nullptr;
+}
+
 template <class T>
-Tensor attention_forward(const variable_list& in, bool bfloat16) {
+Tensor attention_forward(const variable_list& in, bool bfloat16, bool keep, Tensor& kept) {
   const auto& kernels = attention_kernels<T>(bfloat16);
-  AttentionArguments<T> a = attention_arguments<T>(in);
-  const Tensor mix_transposed = pack(in[mix].t(), bfloat16);
-  a.mix_transposed = data<T>(mix_transposed);
+  const PackedAttention<T> packed(in, false, bfloat16);
+  const auto& a = packed.arguments;
   const std::int64_t frames = in[key].size(0), queries = in[query_position].size(1);
   Tensor out = at::empty({frames, queries, a.channels}, in[key].options());
+  // [kept frames, M, keys of a query, d], as bytes
+  const std::int64_t frame_bytes =
+      queries * (a.neighbours + a.has_extra) * a.channels * std::int64_t(kernels.kept_size);
+  std::int64_t kept_frames = 0;
+  if (keep && a.channels >= least_kept_channels && frame_bytes > 0)
+    kept_frames = std::min(frames, std::int64_t(most_kept_bytes) / frame_bytes);
+  kept = memory_for_keeping(kept_frames * frame_bytes);
   const std::int64_t chunk = 8 * kernels.tile_queries(a), chunks = (queries + chunk - 1) / chunk;
   for_each(frames * chunks, kernels.workspace(a), [&](std::int64_t unit, void* scratch) {
     const std::int64_t frame = unit / chunks, begin = unit % chunks * chunk;
     kernels.forward(of_frame(a, in, frame), begin, std::min(begin + chunk, queries),
-                    out.data_ptr<T>() + frame * queries * a.channels, scratch);
+                    out.data_ptr<T>() + frame * queries * a.channels, kept_of_frame(kept, frame, frame_bytes), scratch);
   });
   return out;
 }
 
 template <class T>
-variable_list attention_backward(const variable_list& in, const Tensor& out_gradient, bool bfloat16) {
+variable_list attention_backward(const variable_list& in, const Tensor& kept, const Tensor& out_gradient,
+                                 bool bfloat16) {
   const auto& kernels = attention_kernels<T>(bfloat16);
-  AttentionArguments<T> a = attention_arguments<T>(in);
-  const Tensor mix_rows = pack(in[mix], bfloat16), mix_transposed = pack(in[mix].t(), bfloat16);
-  a.mix = data<T>(mix_rows);
-  a.mix_transposed = data<T>(mix_transposed);
-  const bool of_positions = in[query_position].requires_grad() || in[key_position].requires_grad();
-  Tensor codes_transposed[2];
-  if (of_positions)
-    for (int i = 0; i < 2; ++i) {
-      codes_transposed[i] = at::zeros({a.channels, code_columns(a.components)}, in[key].options());
-      codes_transposed[i].narrow(1, 0, code_rows(a.components)).copy_(in[i == 0 ? logit_code : value_code].t());
-    }
-  a.logit_code_transposed = data<T>(codes_transposed[0]);
-  a.value_code_transposed = data<T>(codes_transposed[1]);
+  const PackedAttention<T> packed(in, true, bfloat16);
+  const auto& a = packed.arguments;
 
   // A unit is a frame, or a chunk of its queries where there are few frames; a part is some consecutive units. What
   // belongs to a frame is summed per unit, what belongs to all per part.
@@ -172,6 +208,8 @@ variable_list attention_backward(const variable_list& in, const Tensor& out_grad
   std::int64_t chunks = frames >= most_parts || frames == 0 ? 1 : (most_parts + frames - 1) / frames;
   chunks = std::max<std::int64_t>(1, std::min(chunks, tiles));
   const std::int64_t chunk = (tiles + chunks - 1) / chunks * step;
+  const std::int64_t frame_bytes =
+      queries * (a.neighbours + a.has_extra) * a.channels * std::int64_t(kernels.kept_size);
   const std::int64_t units = frames * chunks, parts = std::min(units, most_parts);
 
   variable_list gradients(attention_inputs);
@@ -206,7 +244,8 @@ variable_list attention_backward(const variable_list& in, const Tensor& out_grad
       g.value_code = place(value_code, part);
       g.mix = place(mix, part);
       kernels.backward(of_frame(a, in, frame), begin, std::min(begin + chunk, queries),
-                       data<T>(out_gradient) + frame * queries * a.channels, g, scratch);
+                       data<T>(out_gradient) + frame * queries * a.channels,
+                       kept.numel() > 0 ? kept_of_frame(kept, frame, frame_bytes) : nullptr, g, scratch);
     }
   });
   for (int input = 0; input < attention_inputs; ++input) {
@@ -233,25 +272,30 @@ void drop_placeholders(variable_list& in) {
 }
 
 struct AttentionFunction : torch::autograd::Function<AttentionFunction> {
-  static Tensor forward(AutogradContext* context, bool bfloat16, Tensor query, Tensor key, Tensor value,
+  static Tensor forward(AutogradContext* context, bool bfloat16, bool keep, Tensor query, Tensor key, Tensor value,
                         Tensor logit_code, Tensor value_code, Tensor mix, Tensor query_position, Tensor key_position,
                         Tensor neighbours, Tensor extra_key, Tensor extra_value) {
     variable_list in{query,          key,          value,      logit_code, value_code, mix,
                      query_position, key_position, neighbours, extra_key,  extra_value};
-    context->save_for_backward(in);
     context->saved_data["bfloat16"] = bfloat16;
     drop_placeholders(in);
-    return key.scalar_type() == at::kFloat ? attention_forward<float>(in, bfloat16)
-                                           : attention_forward<double>(in, false);
+    Tensor kept;
+    const Tensor out = key.scalar_type() == at::kFloat ? attention_forward<float>(in, bfloat16, keep, kept)
+                                                       : attention_forward<double>(in, false, keep, kept);
+    in.push_back(kept);
+    context->save_for_backward(in);
+    return out;
   }
   static variable_list backward(AutogradContext* context, variable_list out_gradients) {
     variable_list in = context->get_saved_variables();
-    drop_placeholders(in);
+    const Tensor kept = in.back();
+    in.pop_back();
     const Tensor gradient = out_gradients[0].contiguous();
-    variable_list gradients = gradient.scalar_type() == at::kFloat
-                                  ? attention_backward<float>(in, gradient, context->saved_data["bfloat16"].toBool())
-                                  : attention_backward<double>(in, gradient, false);
-    gradients.insert(gradients.begin(), Tensor());  // of the flag
+    variable_list gradients =
+        gradient.scalar_type() == at::kFloat
+            ? attention_backward<float>(in, kept, gradient, context->saved_data["bfloat16"].toBool())
+            : attention_backward<double>(in, kept, gradient, false);
+    gradients.insert(gradients.begin(), 2, Tensor());  // of the flags
     return gradients;
   }
 };
@@ -312,20 +356,26 @@ struct PackedHead {
 };
 
 template <class T>
-Tensor head_forward(const variable_list& in, bool bfloat16) {
+Tensor head_forward(const variable_list& in, bool bfloat16, bool keep, Tensor& kept) {
   const auto& kernels = head_kernels<T>(bfloat16);
   const PackedHead<T> head(in, false, bfloat16);
   const auto& a = head.arguments;
   const std::int64_t rows = in[features].size(0), chunk = 4 * kernels.tile_rows(a);
   Tensor out = at::empty({rows, a.outputs}, in[features].options());
+  const std::int64_t step = kernels.tile_rows(a), tile_bytes = std::int64_t(kernels.kept_bytes(a));
+  std::int64_t kept_tiles = 0;
+  if (keep && a.width >= least_kept_channels)
+    kept_tiles = std::min((rows + step - 1) / step, std::int64_t(most_kept_bytes) / 2 / tile_bytes);
+  kept = memory_for_keeping(kept_tiles * tile_bytes);
   for_each((rows + chunk - 1) / chunk, kernels.workspace(a, false), [&](std::int64_t i, void* scratch) {
-    kernels.forward(a, data<T>(in[features]), i * chunk, std::min((i + 1) * chunk, rows), out.data_ptr<T>(), scratch);
+    kernels.forward(a, data<T>(in[features]), i * chunk, std::min((i + 1) * chunk, rows), out.data_ptr<T>(),
+                    kept.data_ptr(), kept_tiles * step, scratch);
   });
   return out;
 }
 
 template <class T>
-variable_list head_backward(const variable_list& in, const Tensor& out_gradient, bool bfloat16) {
+variable_list head_backward(const variable_list& in, const Tensor& kept, const Tensor& out_gradient, bool bfloat16) {
   const auto& kernels = head_kernels<T>(bfloat16);
   const PackedHead<T> head(in, true, bfloat16);
   const auto& a = head.arguments;
@@ -361,7 +411,8 @@ variable_list head_backward(const variable_list& in, const Tensor& out_gradient,
       g.out_bias = place(out_bias);
     }
     kernels.backward(a, data<T>(in[features]), part * tiles / parts * step,
-                     std::min((part + 1) * tiles / parts * step, rows), data<T>(out_gradient), g, scratch);
+                     std::min((part + 1) * tiles / parts * step, rows), data<T>(out_gradient), kept.data_ptr(),
+                     kept.numel() / std::int64_t(kernels.kept_bytes(a)) * step, g, scratch);
   });
   variable_list gradients(head_inputs);
   gradients[features] = features_gradient;
@@ -379,22 +430,29 @@ variable_list head_backward(const variable_list& in, const Tensor& out_gradient,
 }
 
 struct HeadFunction : torch::autograd::Function<HeadFunction> {
-  static Tensor forward(AutogradContext* context, bool bfloat16, Tensor features, Tensor in_weight, Tensor in_bias,
-                        Tensor feature_weight, Tensor feature_bias, Tensor first_weight, Tensor first_bias,
-                        Tensor second_weight, Tensor second_bias, Tensor out_weight, Tensor out_bias) {
-    const variable_list in{features,   in_weight,     in_bias,     feature_weight, feature_bias, first_weight,
-                           first_bias, second_weight, second_bias, out_weight,     out_bias};
-    context->save_for_backward(in);
+  static Tensor forward(AutogradContext* context, bool bfloat16, bool keep, Tensor features, Tensor in_weight,
+                        Tensor in_bias, Tensor feature_weight, Tensor feature_bias, Tensor first_weight,
+                        Tensor first_bias, Tensor second_weight, Tensor second_bias, Tensor out_weight,
+                        Tensor out_bias) {
+    variable_list in{features,   in_weight,     in_bias,     feature_weight, feature_bias, first_weight,
+                     first_bias, second_weight, second_bias, out_weight,     out_bias};
     context->saved_data["bfloat16"] = bfloat16;
-    return features.scalar_type() == at::kFloat ? head_forward<float>(in, bfloat16) : head_forward<double>(in, false);
+    Tensor kept;
+    const Tensor out = features.scalar_type() == at::kFloat ? head_forward<float>(in, bfloat16, keep, kept)
+                                                            : head_forward<double>(in, false, keep, kept);
+    in.push_back(kept);
+    context->save_for_backward(in);
+    return out;
   }
   static variable_list backward(AutogradContext* context, variable_list out_gradients) {
-    const variable_list in = context->get_saved_variables();
+    variable_list in = context->get_saved_variables();
+    const Tensor kept = in.back();
+    in.pop_back();
     const Tensor gradient = out_gradients[0].contiguous();
     variable_list gradients = gradient.scalar_type() == at::kFloat
-                                  ? head_backward<float>(in, gradient, context->saved_data["bfloat16"].toBool())
-                                  : head_backward<double>(in, gradient, false);
-    gradients.insert(gradients.begin(), Tensor());  // of the flag
+                                  ? head_backward<float>(in, kept, gradient, context->saved_data["bfloat16"].toBool())
+                                  : head_backward<double>(in, kept, gradient, false);
+    gradients.insert(gradients.begin(), 2, Tensor());  // of the flags
     return gradients;
   }
 };
@@ -481,11 +539,15 @@ Tensor fused_attention(const AttentionTerms& terms, Precision precision) {
   auto padded = [&](const Tensor& tensor) {
     return tensor.defined() ? pad_channels(tensor, more).contiguous() : or_placeholder(tensor, terms.key);
   };
+  const variable_list inputs{terms.query,      terms.key,        terms.value,          terms.logit_code,
+                             terms.value_code, terms.mix,        terms.query_position, terms.key_position,
+                             terms.extra_key,  terms.extra_value};
   const Tensor out = AttentionFunction::apply(
-      precision == Precision::bfloat16, padded(terms.query), padded(terms.key), padded(terms.value),
-      padded(terms.logit_code), padded(terms.value_code), pad_channels(terms.mix, more, true).contiguous(),
-      terms.query_position.contiguous(), terms.key_position.contiguous(),
-      or_placeholder(terms.neighbours, terms.key).contiguous(), padded(terms.extra_key), padded(terms.extra_value));
+      precision == Precision::bfloat16, will_differentiate(inputs), padded(terms.query), padded(terms.key),
+      padded(terms.value), padded(terms.logit_code), padded(terms.value_code),
+      pad_channels(terms.mix, more, true).contiguous(), terms.query_position.contiguous(),
+      terms.key_position.contiguous(), or_placeholder(terms.neighbours, terms.key).contiguous(),
+      padded(terms.extra_key), padded(terms.extra_value));
   return more ? out.narrow(2, 0, d) : out;
 }
 
@@ -519,7 +581,18 @@ Tensor fused_head(const Tensor& features, const HeadWeights& weights, Precision 
                                            : at::constant_pad_nd(tensor, {0, columns, 0, rows}))
         .contiguous();
   };
-  return HeadFunction::apply(precision == Precision::bfloat16, padded(features, more_d, 0),
+  const variable_list inputs{features,
+                             weights.in_weight,
+                             weights.in_bias,
+                             weights.feature_weight,
+                             weights.feature_bias,
+                             weights.first_weight,
+                             weights.first_bias,
+                             weights.second_weight,
+                             weights.second_bias,
+                             weights.out_weight,
+                             weights.out_bias};
+  return HeadFunction::apply(precision == Precision::bfloat16, will_differentiate(inputs), padded(features, more_d, 0),
                              padded(weights.in_weight, more_d, more_h), padded(weights.in_bias, more_h, 0),
                              padded(weights.feature_weight, more_d, more_h), padded(weights.feature_bias, more_h, 0),
                              padded(weights.first_weight, more_h, more_h), padded(weights.first_bias, more_h, 0),

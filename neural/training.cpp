@@ -82,19 +82,26 @@ GeometryLosses geometry_losses(GeometryNetwork& network, const Batch& batch, con
   return l;
 }
 
+FrozenGeometry freeze(GeometryNetwork& geometry, const Batch& batch) {
+  torch::NoGradGuard fixed;
+  FrozenGeometry f;
+  f.pose = geometry->encode(batch.noisy_keypoints);
+  if (geometry->config().surface_octaves > 0) {
+    const ViewFeatures view = geometry->view(f.pose, camera_of(batch));
+    f.nnopcs = geometry->nnopcs(geometry->attend(view, batch.surface_points));
+  }
+  return f;
+}
+
 TextureLosses texture_losses(GeometryNetwork& geometry, TextureNetwork& texture, const Batch& batch, const TextureTraining& w,
                              const Tensor& noise) {
-  Pose3d pose;
-  {
-    torch::NoGradGuard frozen;
-    pose = geometry->encode(batch.noisy_keypoints);
-  }
+  const FrozenGeometry frozen = freeze(geometry, batch);
   const TextureCode code = texture->encode(batch.images);
   const Tensor logvar = code.logvar.clamp(least_logvar, greatest_logvar);
   const Tensor drawn = noise.defined() ? code.mean + noise * (logvar / 2).exp() : code.mean;
-  const ViewFeatures view = texture->view(drawn, pose, camera_of(batch));
+  const ViewFeatures view = texture->view(drawn, frozen.pose, camera_of(batch));
   TextureLosses l;
-  l.color = w.color_weight * (texture->color(view, batch.surface_points) - batch.color).square().mean();
+  l.color = w.color_weight * (texture->color(view, batch.surface_points, frozen.nnopcs) - batch.color).square().mean();
   l.divergence = w.divergence_weight * (-0.5 * (1 + logvar - code.mean.square() - logvar.exp()).sum());
   return l;
 }
@@ -150,9 +157,9 @@ TrainingEnd train_geometry(const SampleSource& source, const NetepuConfig& confi
       if (config.model.nnopcs) mean.add(4, (model.geometry->nnopcs(surface) - b.nnopcs).square().mean().item<double>(), n);
     }
     Scalars figures{{"loss", mean.of(0)},
-                    {"depth MAE, mm", mean.of(1)},
+                    {"depth MAE (mm)", mean.of(1)},
                     {"wrong silhouette points", mean.of(2)},
-                    {"keypoint error, mm", mean.of(3)}};
+                    {"keypoint error (mm)", mean.of(3)}};
     if (config.model.nnopcs) figures.emplace_back("NNOPCS MSE", mean.of(4));
     return figures;
   };
@@ -214,14 +221,15 @@ TrainingEnd train_texture(const SampleSource& source, const NetepuConfig& config
       const Batch b = source.batch(validation, 0, i);
       const auto n = static_cast<double>(b.views.size());
       const TextureCode code = model.texture->encode(b.images);
-      const ViewFeatures view = model.texture->view(code.mean, model.geometry->encode(b.keypoints), camera_of(b));
-      const Tensor error = (model.texture->color(view, b.surface_points).clamp(0, 1) - b.color).square().mean({1, 2});
+      const FrozenGeometry frozen = freeze(model.geometry, b);
+      const ViewFeatures view = model.texture->view(code.mean, frozen.pose, camera_of(b));
+      const Tensor error = (model.texture->color(view, b.surface_points, frozen.nnopcs).clamp(0, 1) - b.color).square().mean({1, 2});
       mean.add(0, error.mean().item<double>(), n);
       mean.add(1, (-10 * (error + 1e-10).log10()).mean().item<double>(), n);
       const Tensor flat = (b.color - b.color.mean(1, true)).square().mean({1, 2});
       mean.add(2, (-10 * (flat + 1e-10).log10()).mean().item<double>(), n);
     }
-    return {{"color MSE", mean.of(0)}, {"PSNR in the mask, dB", mean.of(1)}, {"PSNR above the mean colour, dB", mean.of(1) - mean.of(2)}};
+    return {{"color MSE", mean.of(0)}, {"PSNR in the mask (dB)", mean.of(1)}, {"PSNR above the mean colour (dB)", mean.of(1) - mean.of(2)}};
   };
   stage.save_best = [&](const std::filesystem::path& file, const nlohmann::json& provenance) {
     model.provenance["texture"] = provenance;

@@ -55,6 +55,13 @@ struct TextureLosses {
 TextureLosses texture_losses(GeometryNetwork& geometry, TextureNetwork& texture, const Batch& batch,
                              const TextureTraining& weights, const torch::Tensor& noise);
 
+// What the frozen geometry says of a batch, once for all that is asked of its texture.
+struct FrozenGeometry {
+  Pose3d pose;
+  torch::Tensor nnopcs;  // [B, P, 3] at the surface points; undefined where the colour head does not see it
+};
+FrozenGeometry freeze(GeometryNetwork& geometry, const Batch& batch);
+
 // Log-variances are held within this before they are used, so that their exponential stays finite.
 inline constexpr double least_logvar = -30, greatest_logvar = 20;
 

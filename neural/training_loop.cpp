@@ -67,14 +67,15 @@ void save_state(const fs::path& file, const NetepuConfig& config, const Stage& s
   write_tensor_file(file, contents);
 }
 
-// The first key that two configurations differ in, as "texture.rate"; empty when they agree on what the stage needs.
+// The first key that two configurations differ in, as "texture.rate"; empty when they agree on what the stage needs. The number
+// of epochs may differ: a run can be prolonged.
 std::string difference(const nlohmann::json& a, const nlohmann::json& b, const std::vector<std::string>& sections) {
   for (const std::string& section : sections) {
     if (!a.contains(section)) return section;
     if (a.at(section) == b.at(section)) continue;
     if (!b.at(section).is_object()) return section;
     for (const auto& [key, value] : b.at(section).items())
-      if (!a.at(section).contains(key) || a.at(section).at(key) != value) return section + "." + key;
+      if (key != "epochs" && (!a.at(section).contains(key) || a.at(section).at(key) != value)) return section + "." + key;
   }
   return {};
 }
@@ -182,9 +183,8 @@ TrainingEnd run_training(const SampleSource& source, const NetepuConfig& config,
   if (fs::exists(state_file, ignored)) {
     at = load_state(state_file, config, stage, optimiser);
     control.log(fmt::format("going on from epoch {} of {}, step {}", at.epoch, stage.epochs, at.step));
-  } else {
-    write_file_atomically(out / "config.json", to_json(config).dump(2) + "\n");
   }
+  write_file_atomically(out / "config.json", to_json(config).dump(2) + "\n");
   const int batches = source.batches_per_epoch(stage.samples);
   if (at.epoch >= stage.epochs) {
     control.log("finished before; nothing to do");

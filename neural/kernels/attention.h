@@ -21,10 +21,9 @@ struct AttentionArguments {
   int neighbours = 0;  // keys a query attends to, without the extra one
   bool has_extra = false;
   bool shared_query = false;
-  // Of all frames.
+  // Of all frames. Rows are padded_row(columns) apart; for bfloat16 packed, see format.h.
   const T *logit_code = nullptr, *value_code = nullptr;  // [11 D, d]
-  const T *mix = nullptr,
-          *mix_transposed = nullptr;  // [d, d], rows padded_row(d) apart; for bfloat16 packed, see format.h
+  const T *mix = nullptr, *mix_transposed = nullptr;     // [d, d]
   const T *logit_code_transposed = nullptr,
           *value_code_transposed = nullptr;  // [d, code_columns(D)], only for position gradients
   // Of this frame.
@@ -52,15 +51,18 @@ template <class T>
 struct AttentionKernels {
   // Bytes of scratch memory (64-byte aligned) a call needs.
   std::size_t (*workspace)(const AttentionArguments<T>&);
-  // Queries [begin, end) of the frame; out is [M, d].
-  void (*forward)(const AttentionArguments<T>&, std::int64_t begin, std::int64_t end, T* out, void* workspace);
+  // Queries [begin, end) of the frame; out is [M, d]. kept, or null: of the frame, [M, keys of a query, d] numbers of
+  // kept_size bytes (exponentials of the softmax), which spare the backward pass the product with the mix.
+  void (*forward)(const AttentionArguments<T>&, std::int64_t begin, std::int64_t end, T* out, void* kept,
+                  void* workspace);
   void (*backward)(const AttentionArguments<T>&, std::int64_t begin, std::int64_t end, const T* out_gradient,
-                   const AttentionGradients<T>&, void* workspace);
+                   const void* kept, const AttentionGradients<T>&, void* workspace);
   int (*tile_queries)(const AttentionArguments<T>&);  // queries a tile holds
+  std::size_t kept_size;
 };
 
-// For the instruction set in use; float and double. bfloat16: float with the products with the mix in bfloat16, for
-// processors that have it.
+// For the instruction set in use; float and double. bfloat16: float with all products in bfloat16, for processors
+// that have it.
 template <class T>
 const AttentionKernels<T>& attention_kernels(bool bfloat16);
 

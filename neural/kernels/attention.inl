@@ -1,4 +1,4 @@
-// Implementation of attention.h; Format: of the numbers in the products with the mix. Included only by files compiled
+// Implementation of attention.h; Format: of the numbers in the products. Included only by files compiled
 // for it; see vector.h.
 #include "neural/kernels/attention.h"
 #include "neural/kernels/format.h"
@@ -36,7 +36,10 @@ struct Attention {
     T *logit = nullptr, *value = nullptr;
     Element* logit_gradient = nullptr;  // may take the place of logit
     T* hidden_gradient = nullptr;       // may take the place of hidden
-    void *hidden_columns = nullptr, *logit_columns = nullptr;
+    // Only for bfloat16: the code and gradients once more, and two matrices at a time made ready to be summed over
+    // pairs.
+    Element *code_copy = nullptr, *hidden_gradient_copy = nullptr, *value_gradient_copy = nullptr;
+    void *code_columns = nullptr, *columns[2] = {};
     T *code_gradient = nullptr, *difference_gradient = nullptr;
     const T **query_row = nullptr, **key_row = nullptr, **value_row = nullptr;
     int* key_index = nullptr;  // of each pair; -1 for the extra key
@@ -54,8 +57,11 @@ struct Attention {
     if constexpr (Format::half) {
       tile.logit_gradient = take<Element>(at, most * tile.ld);
       tile.hidden_gradient = take<T>(at, most * tile.ld);
-      tile.hidden_columns = take<char>(at, Format::columns_bytes(int(most), a.channels));
-      tile.logit_columns = take<char>(at, Format::columns_bytes(int(most), a.channels));
+      tile.code_copy = take<Element>(at, code_rows(a.components) * padded);
+      tile.hidden_gradient_copy = take<Element>(at, most * tile.ld);
+      tile.value_gradient_copy = take<Element>(at, most * tile.ld);
+      tile.code_columns = take<char>(at, Format::columns_bytes(code_rows(a.components), int(padded)));
+      for (void*& columns : tile.columns) columns = take<char>(at, Format::columns_bytes(int(most), a.channels));
     } else {
       tile.logit_gradient = tile.logit;
       tile.hidden_gradient = tile.hidden;
@@ -93,12 +99,14 @@ struct Attention {
     const Tile& tile;
     MOOMILL_INLINE void operator()(int row, int column, typename S::Vector sum) const {
       const std::ptrdiff_t place = row * tile.ld + column;
-      S::store(tile.hidden_gradient + place, Format::where_positive(tile.hidden + place, sum));
+      const auto gradient = Format::where_positive(tile.hidden + place, sum);
+      S::store(tile.hidden_gradient + place, gradient);
+      if (Format::half) Format::store(tile.hidden_gradient_copy + place, gradient);
     }
   };
 
-  // Fills in code, hidden, logit and value for queries [begin, begin + tile.queries).
-  static void prepare(const Arguments& a, std::int64_t begin, int queries, Tile& tile) {
+  // Fills in code, hidden, value and, where asked, logit for queries [begin, begin + tile.queries).
+  static void prepare(const Arguments& a, std::int64_t begin, int queries, bool with_logits, Tile& tile) {
     const int per_query = pairs_per_query(a), d = a.channels, components = a.components;
     tile.queries = queries;
     tile.pairs = queries * per_query;
@@ -128,10 +136,22 @@ struct Attention {
         for (int t = 0; t < queries; ++t) tile.code[row * tile.code_stride + t * per_query + a.neighbours] = 0;
 
     const int rows = code_rows(components);
-    product<S>(tile.pairs, d, rows, tile.code, 1, tile.code_stride, a.logit_code, d, Hidden{tile});
-    Format::product_of_rows(tile.pairs, d, d, tile.hidden, tile.ld, a.mix_transposed, tile.ld,
-                            Store<S>{tile.logit, tile.ld});
-    product<S>(tile.pairs, d, rows, tile.code, 1, tile.code_stride, a.value_code, d, Value{tile});
+    typename Format::Columns code{};
+    if constexpr (Format::half) {
+      for (int row = 0; row < rows; ++row)
+        for (int p = 0; p < padded; p += S::width)
+          Format::store(tile.code_copy + row * tile.code_stride + p, S::load(tile.code + row * tile.code_stride + p));
+      code = Format::columns(tile.code_copy, rows, padded, tile.code_stride, tile.code_columns);
+    } else {
+      code = Format::columns(tile.code, rows, padded, tile.code_stride, nullptr);
+    }
+    const typename Format::Columns logit_code = Format::packed(a.logit_code, tile.ld);
+    const typename Format::Columns value_code = Format::packed(a.value_code, tile.ld);
+    Format::product_of_columns(tile.pairs, d, rows, code, logit_code, Hidden{tile});
+    if (with_logits)
+      Format::product_of_rows(tile.pairs, d, d, tile.hidden, tile.ld, a.mix_transposed, tile.ld,
+                              Store<S>{tile.logit, tile.ld});
+    Format::product_of_columns(tile.pairs, d, rows, code, value_code, Value{tile});
   }
 
   // The greatest of count logits, ld apart, times log2 e.
@@ -143,7 +163,8 @@ struct Attention {
   static constexpr double log2_e = 1.4426950408889634;
 
   // A NaN among the logits may be lost in the maximum, but not in its own exponential, and so not in the sum.
-  static void soften(const Arguments& a, const Tile& tile, T* out) {
+  // kept: where exponentials go for the backward pass, or null.
+  static void soften(const Arguments& a, const Tile& tile, T* out, Element* kept) {
     const int count = pairs_per_query(a);
     for (int t = 0; t < tile.queries; ++t)
       for (int c = 0; c < a.channels; c += S::width) {
@@ -152,6 +173,7 @@ struct Attention {
         auto sum = S::all(0), weighted = S::all(0);
         for (int j = 0; j < count; ++j) {
           const auto e = exp2_of_negative<S>(S::load(logit + j * tile.ld) * S::all(T(log2_e)) - most);
+          if (kept) Format::store(kept + (t * count + j) * std::ptrdiff_t(a.channels) + c, e);
           sum = sum + e;
           weighted = S::fma(e, S::load(value + j * tile.ld), weighted);
         }
@@ -159,36 +181,50 @@ struct Attention {
       }
   }
 
-  static void forward(const Arguments& a, std::int64_t begin, std::int64_t end, T* out, void* memory) {
+  static void forward(const Arguments& a, std::int64_t begin, std::int64_t end, T* out, void* kept, void* memory) {
     char* at = static_cast<char*>(memory);
     Tile tile = lay_out(a, at);
     const int step = tile_queries(a);
+    const std::ptrdiff_t per_query = std::ptrdiff_t(pairs_per_query(a)) * a.channels;
     for (std::int64_t query = begin; query < end; query += step) {
-      prepare(a, query, int(end - query < step ? end - query : step), tile);
-      soften(a, tile, out + query * a.channels);
+      prepare(a, query, int(end - query < step ? end - query : step), true, tile);
+      soften(a, tile, out + query * a.channels, kept ? static_cast<Element*>(kept) + query * per_query : nullptr);
     }
   }
 
-  // From the gradient of out: logit_gradient is filled in, and value becomes its own gradient.
-  static void soften_backward(const Arguments& a, Tile& tile, const T* out_gradient) {
+  // From the gradient of out: logit_gradient is filled in, and value becomes its own gradient. kept: exponentials of
+  // the forward pass; null: from the logits, which they replace.
+  static void soften_backward(const Arguments& a, Tile& tile, const T* out_gradient, const Element* kept) {
     const int count = pairs_per_query(a);
     for (int t = 0; t < tile.queries; ++t)
       for (int c = 0; c < a.channels; c += S::width) {
         T *logit = tile.logit + t * count * tile.ld + c, *value = tile.value + t * count * tile.ld + c;
-        const auto most = greatest(logit, count, tile.ld);
+        const Element* exponential = kept ? kept + t * count * std::ptrdiff_t(a.channels) + c : nullptr;
         auto sum = S::all(0), weighted = S::all(0);
-        for (int j = 0; j < count; ++j) {
-          const auto e = exp2_of_negative<S>(S::load(logit + j * tile.ld) * S::all(T(log2_e)) - most);
-          S::store(logit + j * tile.ld, e);
-          sum = sum + e;
-          weighted = S::fma(e, S::load(value + j * tile.ld), weighted);
+        if (kept) {
+          for (int j = 0; j < count; ++j) {
+            const auto e = Format::load(exponential + j * std::ptrdiff_t(a.channels));
+            sum = sum + e;
+            weighted = S::fma(e, S::load(value + j * tile.ld), weighted);
+          }
+        } else {
+          const auto most = greatest(logit, count, tile.ld);
+          for (int j = 0; j < count; ++j) {
+            const auto e = exp2_of_negative<S>(S::load(logit + j * tile.ld) * S::all(T(log2_e)) - most);
+            S::store(logit + j * tile.ld, e);
+            sum = sum + e;
+            weighted = S::fma(e, S::load(value + j * tile.ld), weighted);
+          }
         }
         const auto out = weighted / sum;
         const auto scaled = S::load(out_gradient + std::ptrdiff_t(t) * a.channels + c) / sum;
         for (int j = 0; j < count; ++j) {
-          const auto value_gradient = S::load(logit + j * tile.ld) * scaled;
+          const auto e =
+              kept ? Format::load(exponential + j * std::ptrdiff_t(a.channels)) : S::load(logit + j * tile.ld);
+          const auto value_gradient = e * scaled;
           const auto v = S::load(value + j * tile.ld);
           S::store(value + j * tile.ld, value_gradient);
+          if (Format::half) Format::store(tile.value_gradient_copy + (t * count + j) * tile.ld + c, value_gradient);
           Format::store(tile.logit_gradient + (t * count + j) * tile.ld + c, value_gradient * (v - out));
         }
       }
@@ -221,12 +257,26 @@ struct Attention {
     }
   }
 
+  static const Element* hidden_gradient(const Tile& tile) {
+    if constexpr (Format::half)
+      return tile.hidden_gradient_copy;
+    else
+      return tile.hidden_gradient;
+  }
+  static const Element* value_gradient(const Tile& tile) {
+    if constexpr (Format::half)
+      return tile.value_gradient_copy;
+    else
+      return tile.value;
+  }
+
   static void position_gradients(const Arguments& a, std::int64_t begin, const Tile& tile, const Gradients& gradients) {
     const int count = pairs_per_query(a), d = a.channels, components = a.components, columns = code_columns(components);
-    product<S>(tile.pairs, columns, d, tile.hidden_gradient, tile.ld, 1, a.logit_code_transposed, columns,
-               Store<S>{tile.code_gradient, columns});
-    product<S>(tile.pairs, columns, d, tile.value, tile.ld, 1, a.value_code_transposed, columns,
-               Add<S>{tile.code_gradient, columns});
+    const std::ptrdiff_t ld = padded_row(columns);
+    Format::product_of_rows(tile.pairs, columns, d, hidden_gradient(tile), tile.ld, a.logit_code_transposed, ld,
+                            Store<S>{tile.code_gradient, columns});
+    Format::product_of_rows(tile.pairs, columns, d, value_gradient(tile), tile.ld, a.value_code_transposed, ld,
+                            Add<S>{tile.code_gradient, columns});
     position_code_backward<S>(components, tile.pairs, tile.code, tile.code_stride, tile.code_gradient, columns,
                               tile.difference_gradient);
     for (int t = 0; t < tile.queries; ++t)
@@ -243,30 +293,38 @@ struct Attention {
   }
 
   static void backward(const Arguments& a, std::int64_t begin, std::int64_t end, const T* out_gradient,
-                       const Gradients& gradients, void* memory) {
+                       const void* kept, const Gradients& gradients, void* memory) {
     char* at = static_cast<char*>(memory);
     Tile tile = lay_out(a, at);
     const int step = tile_queries(a), d = a.channels, rows = code_rows(a.components);
     for (std::int64_t query = begin; query < end; query += step) {
-      prepare(a, query, int(end - query < step ? end - query : step), tile);
-      soften_backward(a, tile, out_gradient + query * d);
+      const Element* exponentials = kept ? static_cast<const Element*>(kept) + query * pairs_per_query(a) * d : nullptr;
+      prepare(a, query, int(end - query < step ? end - query : step), !kept, tile);
+      soften_backward(a, tile, out_gradient + query * d, exponentials);
+      auto columns = [&](const Element* x, int i) {
+        return Format::columns(x, tile.pairs, d, tile.ld, tile.columns[i]);
+      };
       if (gradients.mix)
-        Format::product_of_columns(
-            d, d, tile.pairs, Format::columns(tile.logit_gradient, tile.pairs, d, tile.ld, tile.logit_columns),
-            Format::columns(tile.hidden, tile.pairs, d, tile.ld, tile.hidden_columns), Add<S>{gradients.mix, d});
+        Format::product_of_columns(d, d, tile.pairs, columns(tile.logit_gradient, 0), columns(tile.hidden, 1),
+                                   Add<S>{gradients.mix, d});
       Format::product_of_rows(tile.pairs, d, d, tile.logit_gradient, tile.ld, a.mix, tile.ld, HiddenGradient{tile});
+      const Element* code = nullptr;
+      if constexpr (Format::half)
+        code = tile.code_copy;
+      else
+        code = tile.code;
       if (gradients.logit_code)
-        product<S>(rows, d, tile.pairs, tile.code, tile.code_stride, 1, tile.hidden_gradient, tile.ld,
-                   Add<S>{gradients.logit_code, d});
+        Format::product_with_columns(rows, d, tile.pairs, code, tile.code_stride, columns(hidden_gradient(tile), 0),
+                                     Add<S>{gradients.logit_code, d});
       if (gradients.value_code)
-        product<S>(rows, d, tile.pairs, tile.code, tile.code_stride, 1, tile.value, tile.ld,
-                   Add<S>{gradients.value_code, d});
+        Format::product_with_columns(rows, d, tile.pairs, code, tile.code_stride, columns(value_gradient(tile), 1),
+                                     Add<S>{gradients.value_code, d});
       scatter(a, query, tile, gradients);
       if (gradients.query_position || gradients.key_position) position_gradients(a, query, tile, gradients);
     }
   }
 
-  static constexpr AttentionKernels<T> kernels{workspace, forward, backward, tile_queries};
+  static constexpr AttentionKernels<T> kernels{workspace, forward, backward, tile_queries, sizeof(Element)};
 };
 
 }  // namespace

@@ -28,6 +28,7 @@ struct FullFormat {
   static std::ptrdiff_t weight_size(int k, std::ptrdiff_t ld) { return k * ld; }
   static std::size_t columns_bytes(int, int) { return 0; }
   static Columns columns(const Element* x, int, int, std::ptrdiff_t ld, void*) { return {x, ld}; }
+  static Columns packed(const T* weights, std::ptrdiff_t ld) { return {weights, ld}; }
 
   // out over [m, n]: x [m, k] times weights [k, n]
   template <class Out>
@@ -39,6 +40,11 @@ struct FullFormat {
   template <class Out>
   static void product_of_columns(int m, int n, int rows, Columns a, Columns b, Out out) {
     product<S>(m, n, rows, a.data, 1, a.ld, b.data, b.ld, out);
+  }
+  // out over [m, n]: a [m, rows] times b [rows, n]
+  template <class Out>
+  static void product_with_columns(int m, int n, int rows, const Element* a, std::ptrdiff_t lda, Columns b, Out out) {
+    product<S>(m, n, rows, a, lda, 1, b.data, b.ld, out);
   }
 };
 
@@ -83,6 +89,10 @@ struct HalfFormat {
       }
     return {pairs, pairs_ld};
   }
+  // Weights [k, n], an odd last row paired with zeros.
+  static Columns packed(const T* weights, std::ptrdiff_t ld) {
+    return {reinterpret_cast<const std::uint32_t*>(weights), ld};
+  }
 
   template <class Out>
   static void product_of_rows(int m, int n, int k, const Element* x, std::ptrdiff_t ldx, const T* weights,
@@ -93,6 +103,12 @@ struct HalfFormat {
   template <class Out>
   static void product_of_columns(int m, int n, int rows, Columns a, Columns b, Out out) {
     product<PairsAvx512>(m, n, (rows + 1) / 2, a.data, 1, a.ld, b.data, b.ld, out);
+  }
+  // Where rows is odd, a has one more column, of anything finite.
+  template <class Out>
+  static void product_with_columns(int m, int n, int rows, const Element* a, std::ptrdiff_t lda, Columns b, Out out) {
+    product<PairsAvx512>(m, n, (rows + 1) / 2, reinterpret_cast<const std::uint32_t*>(a), lda / 2, 1, b.data, b.ld,
+                         out);
   }
 };
 #endif

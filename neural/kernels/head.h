@@ -41,12 +41,16 @@ template <class T>
 struct HeadKernels {
   // Bytes of scratch memory (64-byte aligned) a call needs.
   std::size_t (*workspace)(const HeadArguments<T>&, bool backward);
-  // Rows [begin, end) of features [P, d] to out [P, o].
-  void (*forward)(const HeadArguments<T>&, const T* features, std::int64_t begin, std::int64_t end, T* out,
-                  void* workspace);
+  // Rows [begin, end) of features [P, d] to out [P, o]; begin is a multiple of tile_rows. kept: kept_bytes for every
+  // tile of rows below kept_rows (64-byte aligned; a multiple of tile_rows, or all rows), activations that the backward
+  // pass then need not compute again.
+  void (*forward)(const HeadArguments<T>&, const T* features, std::int64_t begin, std::int64_t end, T* out, void* kept,
+                  std::int64_t kept_rows, void* workspace);
   void (*backward)(const HeadArguments<T>&, const T* features, std::int64_t begin, std::int64_t end,
-                   const T* out_gradient, const HeadGradients<T>&, void* workspace);
+                   const T* out_gradient, const void* kept, std::int64_t kept_rows, const HeadGradients<T>&,
+                   void* workspace);
   int (*tile_rows)(const HeadArguments<T>&);
+  std::size_t (*kept_bytes)(const HeadArguments<T>&);
 };
 
 // For the instruction set in use; float and double. bfloat16: float with all products but that of W_out in bfloat16,

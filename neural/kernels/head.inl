@@ -29,25 +29,40 @@ struct Head {
     std::ptrdiff_t features_ld = 0;
     Element* features_copy = nullptr;  // where their format is not that of the caller
     Element* net_copy = nullptr;       // of the gradient of net; else the same
+    Element* layer_gradient = nullptr;
     T* out = nullptr;
     void *net_columns = nullptr, *layer_columns = nullptr, *features_columns = nullptr;
   };
+
+  // Where a tile's activations go that the backward pass needs.
+  static void lay_out_activations(const Arguments& a, bool backward, char*& at, Tile& tile) {
+    const std::size_t size = most_rows * tile.ld;
+    const int blocks = backward && a.blocks > 1 ? a.blocks : 1;
+    tile.block = blocks > 1 ? size : 0;
+    tile.last = take<T>(at, size);
+    tile.inner = take<Element>(at, size * blocks);
+    tile.outer = take<Element>(at, size * blocks);
+  }
+
+  // The same in the caller's memory.
+  static void lay_out_kept(const Arguments& a, const void* kept, std::int64_t row, Tile& tile) {
+    char* at = const_cast<char*>(static_cast<const char*>(kept)) + row / most_rows * kept_bytes(a);
+    lay_out_activations(a, true, at, tile);
+  }
 
   static Tile lay_out(const Arguments& a, bool backward, char*& at) {
     Tile tile;
     tile.ld = padded_row(a.width);
     tile.features_ld = Format::half ? padded_row(a.features) : a.features;
     const std::size_t size = most_rows * tile.ld;
-    const int kept = backward && a.blocks > 1 ? a.blocks : 1;
-    tile.block = kept > 1 ? size : 0;
+    lay_out_activations(a, backward, at, tile);
     tile.net = take<T>(at, size);
-    tile.last = take<T>(at, size);
-    tile.inner = take<Element>(at, size * kept);
-    tile.outer = take<Element>(at, size * kept);
     tile.out = take<T>(at, most_rows * head_outputs);
+    if (Format::half) tile.features_copy = take<Element>(at, most_rows * tile.features_ld);
+    tile.net_copy = Format::half && backward ? take<Element>(at, size) : nullptr;
+    if (!backward) return tile;
+    tile.layer_gradient = take<Element>(at, size);
     if constexpr (Format::half) {
-      tile.features_copy = take<Element>(at, most_rows * tile.features_ld);
-      tile.net_copy = take<Element>(at, size);
       tile.net_columns = take<char>(at, Format::columns_bytes(most_rows, a.width));
       tile.layer_columns = take<char>(at, 2 * Format::columns_bytes(most_rows, a.width));
       tile.features_columns = take<char>(at, Format::columns_bytes(most_rows, a.features));
@@ -61,6 +76,15 @@ struct Head {
     char* const start = nullptr;
     char* at = start;
     lay_out(a, backward, at);
+    return std::size_t(at - start);
+  }
+
+  static std::size_t kept_bytes(const Arguments& a) {
+    char* const start = nullptr;
+    char* at = start;
+    Tile tile;
+    tile.ld = padded_row(a.width);
+    lay_out_activations(a, true, at, tile);
     return std::size_t(at - start);
   }
 
@@ -116,12 +140,13 @@ struct Head {
       if (Format::half) Format::store(copy + place, x);
     }
   };
-  struct LayerGradient {  // takes the place of the activation
-    Element* activation;
+  struct LayerGradient {  // to = sum where activation is positive, else 0
+    Element* to;
+    const Element* activation;
     std::ptrdiff_t ld;
     MOOMILL_INLINE void operator()(int row, int column, typename S::Vector sum) const {
-      Element* place = activation + row * ld + column;
-      Format::store(place, Format::where_positive(place, sum));
+      const std::ptrdiff_t place = row * ld + column;
+      Format::store(to + place, Format::where_positive(activation + place, sum));
     }
   };
   struct NetGradient {  // to += sum where activation is positive
@@ -137,19 +162,24 @@ struct Head {
     }
   };
 
-  // All activations of the tile's rows up to last.
-  static void evaluate(const Arguments& a, const T* features, Tile& tile) {
-    const int d = a.features, h = a.width, rows = tile.rows;
-    const std::ptrdiff_t ld = tile.ld, feature_size = Format::weight_size(d, ld),
-                         layer_size = Format::weight_size(h, ld);
+  // Makes the features ready for products.
+  static void take_features(const Arguments& a, const T* features, Tile& tile) {
     if constexpr (Format::half) {
-      for (int r = 0; r < rows; ++r)
+      const int d = a.features;
+      for (int r = 0; r < tile.rows; ++r)
         for (int c = 0; c < d; c += S::width)
           Format::store(tile.features_copy + r * tile.features_ld + c, S::load(features + std::ptrdiff_t(r) * d + c));
       tile.features = tile.features_copy;
     } else {
       tile.features = features;
     }
+  }
+
+  // All activations of the tile's rows up to last.
+  static void evaluate(const Arguments& a, Tile& tile) {
+    const int d = a.features, h = a.width, rows = tile.rows;
+    const std::ptrdiff_t ld = tile.ld, feature_size = Format::weight_size(d, ld),
+                         layer_size = Format::weight_size(h, ld);
     auto of_features = [&](const T* weight, auto out) {
       Format::product_of_rows(rows, h, d, tile.features, tile.features_ld, weight, ld, out);
     };
@@ -172,13 +202,16 @@ struct Head {
     }
   }
 
-  static void forward(const Arguments& a, const T* features, std::int64_t begin, std::int64_t end, T* out,
-                      void* memory) {
+  static void forward(const Arguments& a, const T* features, std::int64_t begin, std::int64_t end, T* out, void* kept,
+                      std::int64_t kept_rows, void* memory) {
     char* at = static_cast<char*>(memory);
-    Tile tile = lay_out(a, false, at);
+    const Tile scratch = lay_out(a, false, at);
     for (std::int64_t row = begin; row < end; row += most_rows) {
+      Tile tile = scratch;
       tile.rows = int(end - row < most_rows ? end - row : most_rows);
-      evaluate(a, features + row * a.features, tile);
+      take_features(a, features + row * a.features, tile);
+      if (row < kept_rows) lay_out_kept(a, kept, row, tile);
+      evaluate(a, tile);
       product<S>(tile.rows, head_outputs, a.width, tile.last, tile.ld, 1, a.out_t, head_outputs,
                  Biased{tile.out, a.out_bias});
       for (int r = 0; r < tile.rows; ++r)
@@ -197,20 +230,26 @@ struct Head {
   }
 
   static void backward(const Arguments& a, const T* features, std::int64_t begin, std::int64_t end,
-                       const T* out_gradient, const Gradients& g, void* memory) {
+                       const T* out_gradient, const void* kept, std::int64_t kept_rows, const Gradients& g,
+                       void* memory) {
     char* at = static_cast<char*>(memory);
-    Tile tile = lay_out(a, true, at);
+    const Tile scratch = lay_out(a, true, at);
     const int d = a.features, h = a.width;
-    const std::ptrdiff_t ld = tile.ld, ld_in = padded_row(d);
+    const std::ptrdiff_t ld = scratch.ld, ld_in = padded_row(d);
     const std::ptrdiff_t layer_size = Format::weight_size(h, ld), feature_size = Format::weight_size(h, ld_in);
-    T* const net = tile.net;  // from here on, its gradient
-    char *const inputs = static_cast<char*>(tile.layer_columns), *const outputs =
-                                                                     inputs + Format::columns_bytes(most_rows, h);
+    T* const net = scratch.net;  // from here on, its gradient
+    char *const inputs = static_cast<char*>(scratch.layer_columns), *const outputs =
+                                                                        inputs + Format::columns_bytes(most_rows, h);
     for (std::int64_t row = begin; row < end; row += most_rows) {
+      Tile tile = scratch;
       const int rows = tile.rows = int(end - row < most_rows ? end - row : most_rows);
       T* features_gradient = g.features ? g.features + row * d : nullptr;
-      evaluate(a, features + row * d, tile);
-      auto columns = [&](const Element* x, void* scratch) { return Format::columns(x, rows, h, ld, scratch); };
+      take_features(a, features + row * d, tile);
+      if (row < kept_rows)
+        lay_out_kept(a, kept, row, tile);
+      else
+        evaluate(a, tile);
+      auto columns = [&](const Element* x, void* to) { return Format::columns(x, rows, h, ld, to); };
       typename Format::Columns features_columns{};
       if (g.in) features_columns = Format::columns(tile.features, rows, d, tile.features_ld, tile.features_columns);
       // Gradients of a layer from those of its outputs.
@@ -237,17 +276,19 @@ struct Head {
         net_columns = columns(tile.net_copy, tile.net_columns);
       }
       for (int b = a.blocks - 1; b >= 0; --b) {
-        Element *inner = tile.inner + b * tile.block, *outer = tile.outer + b * tile.block;
+        const Element *inner = tile.inner + b * tile.block, *outer = tile.outer + b * tile.block;
+        Element* const layer = tile.layer_gradient;
         if (g.in) {
           add_layer(net_columns, columns(outer, inputs), h, g.second + b * h * h);
           add_column_sums<S>(net, rows, h, ld, g.second_bias + b * h);
         }
-        Format::product_of_rows(rows, h, h, tile.net_copy, ld, a.second + b * layer_size, ld, LayerGradient{outer, ld});
+        Format::product_of_rows(rows, h, h, tile.net_copy, ld, a.second + b * layer_size, ld,
+                                LayerGradient{layer, outer, ld});
         if (g.in) {
-          add_layer(columns(outer, outputs), columns(inner, inputs), h, g.first + b * h * h);
-          add_column_sums<Format>(outer, rows, h, ld, g.first_bias + b * h);
+          add_layer(columns(layer, outputs), columns(inner, inputs), h, g.first + b * h * h);
+          add_column_sums<Format>(layer, rows, h, ld, g.first_bias + b * h);
         }
-        Format::product_of_rows(rows, h, h, outer, ld, a.first + b * layer_size, ld,
+        Format::product_of_rows(rows, h, h, layer, ld, a.first + b * layer_size, ld,
                                 NetGradient{net, tile.net_copy, inner, ld});
         if (g.in) net_columns = columns(tile.net_copy, tile.net_columns);
         if (b == 0) break;
@@ -265,7 +306,7 @@ struct Head {
     }
   }
 
-  static constexpr HeadKernels<T> kernels{workspace, forward, backward, tile_rows};
+  static constexpr HeadKernels<T> kernels{workspace, forward, backward, tile_rows, kept_bytes};
 };
 
 }  // namespace

@@ -256,14 +256,14 @@ TEST_CASE("coats of a view rendered and encoded together are those of each alone
   torch::manual_seed(1);
   const Tensor colors = torch::rand({3, 3, 24, 32});
   const Tensor codes = encode_coats(model, colors, maps.mask, maps.nnopcs);
-  const Tensor rendered = render_color(model.texture, codes * 30, view, animal, maps.mask, {});
+  const Tensor rendered = render_color(model, codes * 30, view, animal, maps.mask, {});
   CHECK(rendered.sizes() == torch::IntArrayRef({3, 3, 24, 32}));
   CHECK((rendered * (1 - maps.mask)).abs().max().item<float>() == 0);
   CHECK((rendered[0] - rendered[1]).abs().max().item<float>() > 1e-5);
   for (int i = 0; i < 3; ++i) {
     const Tensor code = encode_coats(model, colors.slice(0, i, i + 1), maps.mask, maps.nnopcs);
     CHECK(torch::allclose(code[0], codes[i], 1e-4, 1e-6));
-    CHECK(torch::allclose(render_color(model.texture, code * 30, view, animal, maps.mask, {})[0], rendered[i], 1e-3,
+    CHECK(torch::allclose(render_color(model, code * 30, view, animal, maps.mask, {})[0], rendered[i], 1e-3,
                           1e-5));
   }
   // What lies outside the silhouette does not enter the code.
@@ -365,7 +365,7 @@ TEST_CASE("render writes what the network says, for a pose file, a camera file a
   CHECK(decode_png8(folder / "out/nnopcs.png").channels == 3);
   const Image8 color = decode_png8(folder / "out/color.png");
   REQUIRE(color.channels == 4);
-  const Tensor expected = render_color(model.texture, set.codes.slice(0, 1, 2), view, animal, maps.mask, {})[0];
+  const Tensor expected = render_color(model, set.codes.slice(0, 1, 2), view, animal, maps.mask, {})[0];
   CHECK((tensor_of(color) - expected).abs().max().item<float>() < 0.003);
   for (int i = 0; i < 48; ++i) CHECK(color.at(i, 18, 3) == mask.at(i, 18));
 
@@ -451,7 +451,7 @@ TEST_CASE("a whole dataset: evaluated, embedded, identified, timed") {
       depth += 1000 * ((there.depth - truth.depth).abs().sum() / truth.mask.sum()).item<double>() / 2;
       iou += ((own.mask * truth.mask).sum() / torch::maximum(own.mask, truth.mask).sum()).item<double>() / 2;
       const Tensor code = encode_coats(model, truth.color.unsqueeze(0), own.mask, own.nnopcs);
-      const Tensor color = render_color(model.texture, code, view, animal, truth.mask, {})[0];
+      const Tensor color = render_color(model, code, view, animal, truth.mask, {})[0];
       const double error =
           (((color - truth.color) * truth.mask).square().sum() / (3 * truth.mask.sum())).item<double>();
       psnr_first += -10 * std::log10(error) / 2;

@@ -13,6 +13,7 @@ ModelConfig small_model(int keypoints = 7) {
   c.local_features = 32, c.global_features = 24, c.head_width = 16, c.head_blocks = 2, c.encoder_blocks = 1;
   c.keypoint_bottleneck = 12, c.near_neighbours = 3, c.neighbours = 4;
   c.image_channels = {8, 16}, c.image_blocks = 1;
+  c.surface_octaves = 3;
   return c;
 }
 
@@ -53,7 +54,7 @@ std::pair<std::vector<Tensor>, std::map<std::string, Tensor>> run(GeometryNetwor
   const TextureCode code = t->encode(in.images);
   const ViewFeatures texture_view = t->view(code.mean, pose, in.camera);
   std::vector<Tensor> outputs{pose.code, pose.keypoints, pose.features, g->silhouette(features), g->depth(features), g->nnopcs(features),
-                              code.mean, code.logvar,    t->color(texture_view, in.points)};
+                              code.mean, code.logvar,    t->color(texture_view, in.points, g->nnopcs(features))};
   Tensor sum = torch::zeros({});
   double weight = 1;
   for (const Tensor& o : outputs) sum = sum + (o * torch::arange(o.numel()).view(o.sizes()).cos()).mean() * (weight += 0.37);

@@ -31,6 +31,7 @@ NetepuConfig small_config(const SampleSource& source) {
   m.local_features = 32, m.global_features = 32, m.head_width = 32, m.head_blocks = 2, m.encoder_blocks = 1;
   m.keypoint_bottleneck = 32, m.near_neighbours = 4, m.neighbours = 6;
   m.image_channels = {8, 16}, m.image_blocks = 1;
+  m.position_gradient = false;
   c.geometry.batch = 8, c.geometry.epochs = 4, c.geometry.validate_every = 2;
   c.geometry.silhouette_points = 48, c.geometry.surface_points = 32;
   c.texture.batch = 8, c.texture.epochs = 4, c.texture.validate_every = 2, c.texture.surface_points = 32;
@@ -144,6 +145,12 @@ TEST_CASE("a resumed run equals an uninterrupted one, bit for bit, in both stage
   check_same(tiny.run("whole") / "state.netepu", tiny.run("parts") / "state.netepu");
   check_same(tiny.run("whole") / "model.netepu", tiny.run("parts") / "model.netepu");
   for (const char* file : {"scalars.csv", "curves.svg", "error.svg", "config.json"}) CHECK(fs::file_size(tiny.run("parts") / file) > 100);
+  // Prolonged: goes on with the schedule of the longer run.
+  NetepuConfig longer = c;
+  longer.geometry.epochs = 6;
+  Log more;
+  CHECK(train_geometry(*tiny.source, longer, tiny.run("parts"), more.control) == TrainingEnd::finished);
+  CHECK(more.lines.front().starts_with("going on from epoch 4 of 6"));
   Log again;
   CHECK(train_geometry(*tiny.source, c, tiny.run("whole"), again.control) == TrainingEnd::finished);
   CHECK(again.lines.back() == "finished before; nothing to do");

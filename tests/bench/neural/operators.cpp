@@ -3,6 +3,7 @@
 #include <benchmark/benchmark.h>
 #include <torch/torch.h>
 
+#include "generator/core/parallel.h"
 #include "neural/operators.h"
 #include "tests/neural/plain_operators.h"
 
@@ -116,4 +117,9 @@ MOOMILL_BENCH(head, paper_fused_4, paper(4), true, Precision::float32);
 MOOMILL_BENCH(head, paper_bfloat16_4, paper(4), true, Precision::bfloat16);
 MOOMILL_BENCH(nearest, compact_64, compact(64));
 
-BENCHMARK_MAIN();
+int main(int argc, char** argv) {
+  keep_memory_mapped();  // as netepu does
+  benchmark::Initialize(&argc, argv);
+  if (benchmark::ReportUnrecognizedArguments(argc, argv)) return 2;
+  benchmark::RunSpecifiedBenchmarks();
+}
