@@ -364,6 +364,11 @@ int run_speed(const SpeedCommand& command, const CommandTools& tools) {
     model.geometry->evaluation = model.texture->evaluation = evaluation;
   } else {
     model = open_model(command.model);
+    if (model.texture.is_empty()) {  // encoding takes as long with random weights
+      torch::manual_seed(model.config.seed);
+      model.texture = TextureNetwork(model.config.model);
+      model.texture->eval();
+    }
   }
   DatasetChoice data = command.data;
   if (data.coats.empty()) data.coats = {coats_of_dataset(data.dataset).front()};
