@@ -6,6 +6,7 @@
 #include "generator/core/error.h"
 #include "generator/core/random.h"
 #include "generator/dataset/codecs.h"
+#include "neural/adamw.h"
 #include "neural/curves.h"
 
 namespace moomill {
@@ -265,7 +266,7 @@ TrainingEnd run_training(const SampleSource& source, const NetepuConfig& config,
       }
       for (auto& group : optimiser.param_groups())
         static_cast<torch::optim::AdamWOptions&>(group.options()).lr(rate);
-      optimiser.step();
+      adamw_step(optimiser);
       updating += lap();
       at.sums.resize(terms.size(), 0.0);
       for (std::size_t i = 0; i < terms.size(); ++i) at.sums[i] += terms[i].second;
