@@ -244,6 +244,15 @@ int run(int argc, char** argv) {
   c->add_option("--geometry", texture.geometry, "trained geometry, its weights stay as they are")->required()->type_name("MODEL");
   c->add_option("--coats", texture.coats, "train on these coats only")->type_name("0,11")->delimiter(',');
 
+  std::string whole, packed;
+  c = add_command(app, "pack", "Write a model with half-precision weights, for shipping", "netepu pack out/texture/model.netepu -o compact.netepu",
+                  status, [&] {
+                    save_model(packed, load_model(whole), true);
+                    return 0;
+                  });
+  c->add_option("model", whole, "trained model")->required()->type_name("MODEL");
+  c->add_option("-o,--out", packed, "file to write")->required()->type_name("FILE");
+
   InferCommands infer;
   add_infer_commands(app, infer, status);
   return parse_and_run(app, argc, argv, status);

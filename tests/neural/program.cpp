@@ -150,7 +150,7 @@ TEST_CASE("a run stopped by SIGTERM saves, says so, and the same command goes on
 TEST_CASE("help has an example for every command, and --version names the program") {
   const Bench b;
   CHECK(b.run("--version").out.starts_with("netepu "));
-  for (const char* command : {"train-geometry", "train-texture", "render", "eval", "embed", "identify", "speed"}) {
+  for (const char* command : {"train-geometry", "train-texture", "render", "eval", "embed", "identify", "speed", "pack"}) {
     const Outcome o = b.run(std::string(command) + " --help");
     CHECK(o.status == 0);
     INFO(command);
