@@ -8,6 +8,7 @@
 #include <cstdlib>
 
 #include "generator/command_line.h"
+#include "generator/core/data_root.h"
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
 #include "generator/progress_bar.h"
@@ -31,8 +32,7 @@ struct TrainCommand {
 // `--config compact` is neural/configs/compact.toml of the program's data; anything with a slash or an ending is a file.
 fs::path config_file(const std::string& name) {
   if (name.find('/') != std::string::npos || fs::path(name).has_extension()) return name;
-  const char* home = std::getenv("MOOMILL_HOME");
-  return fs::path(home ? home : MOOMILL_SOURCE_DIR) / "neural/configs" / (name + ".toml");
+  return data_root() / "neural/configs" / (name + ".toml");
 }
 
 void use_threads(int threads) {
@@ -44,8 +44,7 @@ TrainingControl control_of(const TrainCommand& c) {
   TrainingControl control;
   control.stop = &stop_wanted;
   control.log = [](const std::string& line) { spdlog::info(line); };
-  control.evaluation.fused = !c.plain;
-  control.evaluation.precision = c.precision == "bfloat16" ? Precision::bfloat16 : Precision::float32;
+  control.evaluation = evaluation_of(c.plain, c.precision);
   control.max_steps = c.max_steps;
   control.profile = c.profile;
   return control;
@@ -53,6 +52,7 @@ TrainingControl control_of(const TrainCommand& c) {
 
 int run_train(const TrainCommand& c, bool texture) {
   use_threads(c.threads);
+  const TrainingControl control = control_of(c);
   const NetepuConfig config = read_config(config_file(c.config));
   std::vector<int> coats = c.coats;
   if (texture && coats.empty()) coats = coats_of_dataset(c.dataset);
@@ -60,7 +60,6 @@ int run_train(const TrainCommand& c, bool texture) {
     if (done == of) spdlog::info("packed {}", what);
   });
   spdlog::info(source.describe());
-  const TrainingControl control = control_of(c);
   const TrainingEnd end = texture ? train_texture(source, config, c.geometry, c.out, control)
                                   : train_geometry(source, config, c.out, control);
   if (end == TrainingEnd::finished) spdlog::info("{}: trained; the best model is {}", c.out, (fs::path(c.out) / "model.netepu").string());
@@ -258,8 +257,6 @@ int run(int argc, char** argv) {
   return parse_and_run(app, argc, argv, status);
 }
 
-}  // namespace
-
 // Threads that wait must not spin: a step is many short parallel parts, and others (drawing samples, other programs) want the
 // core. OpenMP and OpenBLAS read how to wait when they are loaded, before main(), so the program starts itself once more with it
 // in its environment. OpenBLAS keeps to one thread: what is large runs in the fused operators, and sums stay in one order.
@@ -269,6 +266,8 @@ void start_with_quiet_threads(char** argv) {
   setenv("OPENBLAS_NUM_THREADS", "1", 0);
   ::execv("/proc/self/exe", argv);  // where that fails, all still works, more slowly
 }
+
+}  // namespace
 
 int main(int argc, char** argv) {
   start_with_quiet_threads(argv);

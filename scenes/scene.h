@@ -11,6 +11,7 @@
 #include <variant>
 #include <vector>
 
+#include "generator/core/data_root.h"
 #include "generator/core/modality.h"
 #include "generator/dataset/dataset.h"
 #include "rigs/species.h"
@@ -221,9 +222,6 @@ Coat read_coat(const std::string& name_or_path, const std::string& species, cons
 // textures/<species>/finish.toml; where a species has none, the defaults, and of find_finish() an empty path.
 Finish read_finish(const std::string& species);
 std::filesystem::path find_finish(const std::string& species);
-
-// Where data folders are: $MOOMILL_HOME, else the source tree the program was built from.
-std::filesystem::path data_root();
 
 // All frames' poses of one animal, as the scene says (frame index 0-based: frame - first_frame). Pure. The placement
 // stands the animal where position and yaw_deg say.

@@ -1,5 +1,4 @@
 // Where species, coats and other files of a scene are looked for.
-#include <cstdlib>
 #include <set>
 
 #include "generator/core/error.h"
@@ -46,11 +45,6 @@ std::vector<std::string> shipped_species() {
 }
 
 }  // namespace
-
-fs::path data_root() {
-  const char* home = std::getenv("MOOMILL_HOME");
-  return home && *home ? fs::path(home) : fs::path(MOOMILL_SOURCE_DIR);
-}
 
 fs::path find_file(const std::string& path, const fs::path& relative_to) {
   const fs::path p(path);
