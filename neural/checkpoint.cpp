@@ -1,6 +1,7 @@
 #include "neural/checkpoint.h"
 
 #include <cstring>
+#include <set>
 
 #include "generator/core/error.h"
 #include "generator/dataset/codecs.h"
@@ -100,19 +101,20 @@ void store_module(const torch::nn::Module& module, const std::string& prefix, bo
 void restore_module(torch::nn::Module& module, const std::string& prefix, const std::map<std::string, torch::Tensor>& tensors,
                     const std::string& file) {
   torch::NoGradGuard fixed;
-  std::size_t used = 0;
+  std::set<std::string> used;
   const auto restore = [&](const std::string& name, torch::Tensor t) {
     const auto found = tensors.find(prefix + name);
     if (found == tensors.end() || found->second.sizes() != t.sizes())
       input_error("{}: does not fit its configuration (tensor '{}'); it is of another configuration, train anew", file,
                   prefix + name);
     t.copy_(found->second);
-    ++used;
+    used.insert(found->first);
   };
   for (const auto& p : module.named_parameters()) restore(p.key(), p.value());
   for (const auto& b : module.named_buffers()) restore(b.key(), b.value());
-  for (const auto& [name, tensor] : tensors) used -= name.rfind(prefix, 0) == 0;
-  if (used != 0) input_error("{}: holds tensors that its configuration has no place for; it is of another configuration", file);
+  for (const auto& [name, tensor] : tensors)
+    if (name.starts_with(prefix) && !used.contains(name))
+      input_error("{}: its configuration has no place for tensor '{}'; it is of another configuration, train anew", file, name);
 }
 
 void save_model(const std::filesystem::path& file, const Model& model, bool half) {

@@ -43,6 +43,23 @@ Batch rows_of(const Batch& b, std::int64_t from, std::int64_t to) {
   return part;
 }
 
+// What both stages are told alike. `training` is the stage's part of the configuration.
+template <class Training>
+Stage make_stage(const std::string& name, torch::nn::Module& module, std::vector<std::vector<Tensor>> groups,
+                 const Training& training, bool nnopcs) {
+  Stage stage;
+  stage.name = name;
+  stage.module = &module;
+  stage.groups = std::move(groups);
+  stage.optimiser = training.optimiser;
+  stage.epochs = training.epochs, stage.validate_every = training.validate_every;
+  SampleOptions& s = stage.samples;
+  s.batch = training.batch, s.views_per_frame = training.views_per_frame, s.surface_points = training.surface_points;
+  s.keypoint_noise_m = training.keypoint_noise_m, s.turn_cameras = training.turn_cameras;
+  s.nnopcs = nnopcs;
+  return stage;
+}
+
 // Means over validation batches, weighted by their views.
 class Mean {
  public:
@@ -63,22 +80,30 @@ Tensor GeometryLosses::total() const {
   return nnopcs.defined() ? sum + nnopcs : sum;
 }
 
-GeometryLosses geometry_losses(GeometryNetwork& network, const Batch& batch, const GeometryTraining& w) {
-  const ModelConfig& model = network->config();
-  const Pose3d pose = network->encode(batch.noisy_keypoints);
-  const ViewFeatures view = network->view(pose, camera_of(batch));
-  const auto s = batch.silhouette_points.size(1);
+GeometryPrediction predict(GeometryNetwork& network, const Batch& batch) {
+  GeometryPrediction p;
+  p.pose = network->encode(batch.noisy_keypoints);
+  const ViewFeatures view = network->view(p.pose, camera_of(batch));
+  const auto outline = batch.silhouette_points.size(1);
   const Tensor features = network->attend(view, torch::cat({batch.silhouette_points, batch.surface_points}, 1));
-  const Tensor outline = features.slice(1, 0, s), surface = features.slice(1, s);
+  p.silhouette = network->silhouette(features.slice(1, 0, outline));
+  const Tensor surface = features.slice(1, outline);
+  p.depth = network->depth(surface);
+  if (network->config().nnopcs) p.nnopcs = network->nnopcs(surface);
+  return p;
+}
+
+GeometryLosses geometry_losses(const GeometryPrediction& p, const Batch& batch, const NetepuConfig& config) {
+  const GeometryTraining& w = config.geometry;
   GeometryLosses l;
-  l.silhouette = w.silhouette_weight * torch::binary_cross_entropy_with_logits(network->silhouette(outline), batch.silhouette);
-  const Tensor offset = pose.keypoints - batch.keypoints / (2 * model.reader_radius);
+  l.silhouette = w.silhouette_weight * torch::binary_cross_entropy_with_logits(p.silhouette, batch.silhouette);
+  const Tensor offset = p.pose.keypoints - batch.keypoints / (2 * config.model.reader_radius);
   l.keypoints = w.keypoint_weight * (offset.square().sum(2) + tiny).sqrt().mean();
-  const Tensor depth_error = network->depth(surface) - batch.depth;
+  const Tensor depth_error = p.depth - batch.depth;
   l.depth = w.depth_weight *
             (w.squared_depth ? depth_error.square().mean() : (depth_error.square().sum(1) + tiny).sqrt().mean());
-  l.code = w.code_weight * (pose.code.square().sum(1) + tiny).sqrt().mean();
-  if (model.nnopcs) l.nnopcs = w.nnopcs_weight * (network->nnopcs(surface) - batch.nnopcs).square().mean();
+  l.code = w.code_weight * (p.pose.code.square().sum(1) + tiny).sqrt().mean();
+  if (p.nnopcs.defined()) l.nnopcs = w.nnopcs_weight * (p.nnopcs - batch.nnopcs).square().mean();
   return l;
 }
 
@@ -115,20 +140,12 @@ TrainingEnd train_geometry(const SampleSource& source, const NetepuConfig& confi
   model.config = config;
   model.geometry = GeometryNetwork(config.model);
   model.geometry->evaluation = control.evaluation;
-  Stage stage;
-  stage.name = "geometry";
-  stage.module = model.geometry.get();
-  stage.groups = model.geometry->clip_groups();
-  stage.optimiser = g.optimiser;
-  stage.epochs = g.epochs, stage.validate_every = g.validate_every;
+  Stage stage = make_stage("geometry", *model.geometry, model.geometry->clip_groups(), g, config.model.nnopcs);
   stage.samples.seed = config.seed;
-  stage.samples.batch = g.batch, stage.samples.views_per_frame = g.views_per_frame;
-  stage.samples.silhouette_points = g.silhouette_points, stage.samples.surface_points = g.surface_points;
+  stage.samples.silhouette_points = g.silhouette_points;
   stage.samples.near_sigma = g.near_sigma, stage.samples.far_sigma = g.far_sigma;
-  stage.samples.keypoint_noise_m = g.keypoint_noise_m, stage.samples.turn_cameras = g.turn_cameras;
-  stage.samples.nnopcs = config.model.nnopcs;
   stage.accumulate = [&](const Batch& batch, std::int64_t) {
-    const GeometryLosses l = geometry_losses(model.geometry, batch, g);
+    const GeometryLosses l = geometry_losses(predict(model.geometry, batch), batch, config);
     l.total().backward();
     Scalars terms{{"silhouette", l.silhouette.item<double>()},
                   {"keypoints", l.keypoints.item<double>()},
@@ -143,18 +160,15 @@ TrainingEnd train_geometry(const SampleSource& source, const NetepuConfig& confi
     for (int i = 0; i < source.batches_per_epoch(validation); ++i) {
       const Batch b = source.batch(validation, 0, i);
       const auto n = static_cast<double>(b.views.size());
-      const Pose3d pose = model.geometry->encode(b.keypoints);
-      const ViewFeatures view = model.geometry->view(pose, camera_of(b));
-      const Tensor outline = model.geometry->attend(view, b.silhouette_points), surface = model.geometry->attend(view, b.surface_points);
-      const GeometryLosses l = geometry_losses(model.geometry, b, g);
-      mean.add(0, l.total().item<double>(), n);
+      const GeometryPrediction p = predict(model.geometry, b);
+      mean.add(0, geometry_losses(p, b, config).total().item<double>(), n);
       // In the range of the given keypoints, as the targets are.
-      const Tensor depth_error = (model.geometry->depth(surface) - b.depth) * b.depth_range.unsqueeze(1);
+      const Tensor depth_error = (p.depth - b.depth) * b.depth_range.unsqueeze(1);
       mean.add(1, 1e3 * depth_error.abs().mean().item<double>(), n);
-      mean.add(2, ((model.geometry->silhouette(outline) > 0) != (b.silhouette > 0.5)).to(torch::kFloat).mean().item<double>(), n);
-      const Tensor offset = pose.keypoints * (2 * config.model.reader_radius) - b.keypoints;
+      mean.add(2, ((p.silhouette > 0) != (b.silhouette > 0.5)).to(torch::kFloat).mean().item<double>(), n);
+      const Tensor offset = p.pose.keypoints * (2 * config.model.reader_radius) - b.keypoints;
       mean.add(3, 1e3 * offset.square().sum(2).sqrt().mean().item<double>(), n);
-      if (config.model.nnopcs) mean.add(4, (model.geometry->nnopcs(surface) - b.nnopcs).square().mean().item<double>(), n);
+      if (p.nnopcs.defined()) mean.add(4, (p.nnopcs - b.nnopcs).square().mean().item<double>(), n);
     }
     Scalars figures{{"loss", mean.of(0)},
                     {"depth MAE (mm)", mean.of(1)},
@@ -185,17 +199,9 @@ TrainingEnd train_texture(const SampleSource& source, const NetepuConfig& config
   model.texture = TextureNetwork(config.model);
   model.geometry->evaluation = model.texture->evaluation = control.evaluation;
   model.geometry->eval();
-  Stage stage;
-  stage.name = "texture";
-  stage.module = model.texture.get();
-  stage.groups = model.texture->clip_groups();
-  stage.optimiser = t.optimiser;
-  stage.epochs = t.epochs, stage.validate_every = t.validate_every;
+  Stage stage = make_stage("texture", *model.texture, model.texture->clip_groups(), t, config.model.nnopcs);
   stage.samples.seed = hash_identity({config.seed, hash_text("texture")});
-  stage.samples.batch = t.batch, stage.samples.views_per_frame = t.views_per_frame;
-  stage.samples.surface_points = t.surface_points;
-  stage.samples.keypoint_noise_m = t.keypoint_noise_m, stage.samples.turn_cameras = t.turn_cameras;
-  stage.samples.color = true, stage.samples.nnopcs = config.model.nnopcs;
+  stage.samples.color = true;
   stage.samples.encoder_width = t.encoder_width, stage.samples.encoder_height = t.encoder_height;
   stage.accumulate = [&](const Batch& batch, std::int64_t step) {
     const auto b = static_cast<std::int64_t>(batch.views.size());

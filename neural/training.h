@@ -40,12 +40,21 @@ TrainingEnd train_geometry(const SampleSource& source, const NetepuConfig& confi
 TrainingEnd train_texture(const SampleSource& source, const NetepuConfig& config, const std::filesystem::path& geometry_model,
                           const std::filesystem::path& out, const TrainingControl& control);
 
-// The weighted terms of the geometry loss, in the order of netepu's publication: silhouette, keypoints, depth, code, nnopcs.
+// What the geometry networks say of a batch's points.
+struct GeometryPrediction {
+  Pose3d pose;
+  torch::Tensor silhouette;  // [B, S] logits
+  torch::Tensor depth;       // [B, P], in units of the keypoints' depth range
+  torch::Tensor nnopcs;      // [B, P, 3]; undefined without the head
+};
+GeometryPrediction predict(GeometryNetwork& network, const Batch& batch);
+
+// The weighted terms of the geometry loss, in this order in scalars.csv: silhouette, keypoints, depth, code, nnopcs.
 struct GeometryLosses {
   torch::Tensor silhouette, keypoints, depth, code, nnopcs;  // nnopcs is undefined without the head
   torch::Tensor total() const;
 };
-GeometryLosses geometry_losses(GeometryNetwork& network, const Batch& batch, const GeometryTraining& weights);
+GeometryLosses geometry_losses(const GeometryPrediction& prediction, const Batch& batch, const NetepuConfig& config);
 
 // Of the texture: colour and divergence; `noise` [B, z] is standard normal, or undefined for the mean code.
 struct TextureLosses {

@@ -84,11 +84,10 @@ Batch first_batch(const SampleSource& source, const NetepuConfig& c, bool color)
 
 TEST_CASE("the geometry network learns one batch by heart") {
   const Tiny tiny;
-  const NetepuConfig c = small_config(*tiny.source);
+  NetepuConfig c = small_config(*tiny.source);
   torch::manual_seed(1);
   GeometryNetwork network(c.model);
-  GeometryTraining weights = c.geometry;
-  weights.nnopcs_weight = 100, weights.code_weight = 0;
+  c.geometry.nnopcs_weight = 100, c.geometry.code_weight = 0;
   const Batch batch = first_batch(*tiny.source, c, false);
   torch::optim::AdamW optimiser(network->parameters(), torch::optim::AdamWOptions(3e-3).weight_decay(0));
   GeometryLosses first, last;
@@ -96,7 +95,7 @@ TEST_CASE("the geometry network learns one batch by heart") {
   for (int i = 0; i < steps; ++i) {
     static_cast<torch::optim::AdamWOptions&>(optimiser.param_groups()[0].options()).lr(3e-3 * (1 - i / (steps + 1.0)));
     optimiser.zero_grad();
-    last = geometry_losses(network, batch, weights);
+    last = geometry_losses(predict(network, batch), batch, c);
     if (i == 0) first = last;
     last.total().backward();
     optimiser.step();
@@ -213,7 +212,7 @@ TEST_CASE("a not-a-number in the data stops the run at once and names the term")
   stage.accumulate = [&](const Batch& clean, std::int64_t) {
     Batch b = clean;
     b.nnopcs[2][3][1] = NAN;
-    const GeometryLosses l = geometry_losses(network, b, c.geometry);
+    const GeometryLosses l = geometry_losses(predict(network, b), b, c);
     l.total().backward();
     return Scalars{{"silhouette", l.silhouette.item<double>()}, {"nnopcs", l.nnopcs.item<double>()}};
   };

@@ -62,7 +62,7 @@ void geometry_step(benchmark::State& state, const char* name, int frames, bool f
   const Batch batch = random_batch(config, frames, g.silhouette_points, g.surface_points, 0, 0);
   for (auto _ : state) {
     optimiser.zero_grad();
-    geometry_losses(network, batch, g).total().backward();
+    geometry_losses(predict(network, batch), batch, config).total().backward();
     fused ? adamw_step(optimiser) : (void)optimiser.step();
   }
 }
