@@ -1,6 +1,5 @@
 #include "neural/commands_infer.h"
 
-
 #include <fmt/format.h>
 
 #include "generator/core/error.h"
@@ -17,22 +16,23 @@ namespace moomill {
 namespace fs = std::filesystem;
 using torch::Tensor;
 
-namespace {
-
-Evaluation evaluation_of(const ModelChoice& choice) {
+Evaluation evaluation_of(bool plain, const std::string& precision) {
   Evaluation evaluation;
-  evaluation.fused = !choice.plain;
-  if (choice.precision == "bfloat16") {
+  evaluation.fused = !plain;
+  if (precision == "bfloat16") {
+    if (plain) input_error("--plain computes in float32 only; leave out --precision bfloat16, or --plain");
     if (!has_bfloat16()) input_error("--precision bfloat16: this processor does not multiply bfloat16; use float32");
     evaluation.precision = Precision::bfloat16;
-  } else if (choice.precision != "float32") {
-    input_error("--precision {}: is neither float32 nor bfloat16", choice.precision);
+  } else if (precision != "float32") {
+    input_error("--precision {}: is neither float32 nor bfloat16", precision);
   }
   return evaluation;
 }
 
+namespace {
+
 Model open_model(const ModelChoice& choice) {
-  const Evaluation evaluation = evaluation_of(choice);
+  const Evaluation evaluation = evaluation_of(choice.plain, choice.precision);
   Model model = load_model(choice.model);
   model.geometry->evaluation = evaluation;
   if (!model.texture.is_empty()) model.texture->evaluation = evaluation;
@@ -360,8 +360,7 @@ int run_speed(const SpeedCommand& command, const CommandTools& tools) {
     model.texture = TextureNetwork(model.config.model);
     model.geometry->eval();
     model.texture->eval();
-    const Evaluation evaluation = evaluation_of(command.model);
-    model.geometry->evaluation = model.texture->evaluation = evaluation;
+    model.geometry->evaluation = model.texture->evaluation = evaluation_of(command.model.plain, command.model.precision);
   } else {
     model = open_model(command.model);
     if (model.texture.is_empty()) {  // encoding takes as long with random weights

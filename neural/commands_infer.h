@@ -9,6 +9,8 @@
 #include <string>
 #include <vector>
 
+#include "neural/networks.h"
+
 namespace moomill {
 
 // What the program around a command lends it; all may be empty.
@@ -25,6 +27,9 @@ struct ModelChoice {
   std::string precision =
       "float32";  // or "bfloat16", of the second layers' products; InputError where the processor has none
 };
+
+// What --plain and --precision ask for. InputError where they contradict each other or the processor cannot.
+Evaluation evaluation_of(bool plain, const std::string& precision);
 
 // A dataset, and what of it.
 struct DatasetChoice {
@@ -94,7 +99,8 @@ int run_embed(const EmbedCommand& command, const CommandTools& tools = {});
 struct IdentifyCommand {
   std::filesystem::path queries, gallery;  // .npy of embed; gallery empty: the queries themselves
   std::filesystem::path out;               // folder; may be empty
-  std::string distance = "cosine";         // or euclidean
+  // Or cosine. On the shipped model Euclidean names more right: 91.5 against 85.7 % (neural/results/README.md).
+  std::string distance = "euclidean";
   bool enforce = false;
 };
 int run_identify(const IdentifyCommand& command, const CommandTools& tools = {});

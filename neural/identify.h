@@ -53,7 +53,7 @@ inline constexpr std::pair<int, int> hard_pairs[] = {{9, 10}, {1, 11}};
 struct IdentificationResult {
   std::string queries, gallery;  // as described by the sets
   std::int64_t query_count = 0, gallery_count = 0;
-  CodeDistance distance = CodeDistance::cosine;
+  CodeDistance distance = CodeDistance::euclidean;
   Disjoint disjoint;
   Reidentification all, other;  // other: by the other distance
   std::vector<int> coats;

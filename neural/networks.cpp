@@ -281,8 +281,8 @@ struct ImageBlock : nn::Module {
   }
 };
 
-// What attention sees of the decoded keypoints. Its positional codes have slopes of a hundred and more, so their gradient drowns
-// that of the keypoint loss for a long time; a configuration may cut it.
+// What attention sees of the decoded keypoints. Its positional codes have slopes of a hundred and more, so their gradient can drown
+// that of the keypoint loss; a configuration may cut it.
 Tensor positions_of(const Pose3d& pose, const ModelConfig& config) {
   return config.position_gradient ? pose.keypoints : pose.keypoints.detach();
 }
