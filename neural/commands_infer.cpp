@@ -310,11 +310,19 @@ int run_identify(const IdentifyCommand& command, const CommandTools& tools) {
   if (command.distance != "cosine" && command.distance != "euclidean")
     input_error("--distance {}: is neither cosine nor euclidean", command.distance);
   const CodeDistance distance = command.distance == "cosine" ? CodeDistance::cosine : CodeDistance::euclidean;
-  const CodeSet queries = read_codes(command.queries);
-  const CodeSet gallery = command.gallery.empty() ? queries : read_codes(command.gallery);
+  CodeSet queries = read_codes(command.queries);
+  CodeSet gallery = command.gallery.empty() ? queries : read_codes(command.gallery);
   if (gallery.codes.size(0) == 0)
     input_error("{}: holds no codes to compare with",
                 (command.gallery.empty() ? command.queries : command.gallery).string());
+  std::string calibration;
+  if (!command.calibrate.empty()) {
+    const CodeSet known = read_codes(command.calibrate);
+    const Tensor map = scatter_normalisation(known);
+    queries = mapped(std::move(queries), map);
+    gallery = mapped(std::move(gallery), map);
+    calibration = fmt::format("{} codes of {}", known.codes.size(0), known.dataset);
+  }
   const std::vector<QueryMatch> matches = match_codes(queries, gallery, distance, disjoint_of(queries, gallery));
   std::string lines;
   bool known = false;
@@ -339,7 +347,8 @@ int run_identify(const IdentifyCommand& command, const CommandTools& tools) {
   }
   if (!command.out.empty()) write_file_atomically(command.out / "names.jsonl", lines);
   if (!known) return 0;  // whose the queries are is not known, or they have nobody to find
-  const IdentificationResult result = identify_codes(queries, gallery, distance);
+  IdentificationResult result = identify_codes(queries, gallery, distance);
+  result.calibration = calibration;
   print(tools, markdown(result));
   if (!command.out.empty()) write_identification(result, command.out);
   return finish(measures_of(result), command.enforce, tools);

@@ -98,6 +98,8 @@ int run_embed(const EmbedCommand& command, const CommandTools& tools = {});
 // are known, says how often that is right: results.json, summary.json, table.md, and names.jsonl with a line per query.
 struct IdentifyCommand {
   std::filesystem::path queries, gallery;  // .npy of embed; gallery empty: the queries themselves
+  // Codes of the training split: what scatters among views of one coat then counts for less (scatter_normalisation); empty: as embedded.
+  std::filesystem::path calibrate;
   std::filesystem::path out;               // folder; may be empty
   // Or cosine. On the shipped model Euclidean names more right: 91.5 against 85.7 % (neural/results/README.md).
   std::string distance = "euclidean";

@@ -72,8 +72,9 @@ void fields(TextureTraining& t, F&& f) {
   f("micro_batch", t.micro_batch, 0, 65536);
   f("color_weight", t.color_weight, 0, 1e6);
   f("divergence_weight", t.divergence_weight, 0, 1e6);
-  f("encoder_width", t.encoder_width, 0, 16384);
-  f("encoder_height", t.encoder_height, 0, 16384);
+  f("encoder_width", t.encoder.width, 0, 16384);
+  f("encoder_height", t.encoder.height, 0, 16384);
+  f("encoder_crop", t.encoder.crop, 0, 1);
 }
 
 struct FromToml {
@@ -146,7 +147,7 @@ NetepuConfig read_config(const std::filesystem::path& file) {
   section("texture", c.texture);
   top.finish();
   check_model(c.model, file.string());
-  if ((c.texture.encoder_width == 0) != (c.texture.encoder_height == 0))
+  if ((c.texture.encoder.width == 0) != (c.texture.encoder.height == 0))
     input_error("{}: [texture] needs both encoder_width and encoder_height, or neither", file.string());
   return c;
 }

@@ -61,6 +61,12 @@ struct GeometryTraining {
   bool squared_depth = false;    // NePu: mean squared depth error instead of the 2-norm over a frame's points
 };
 
+// What the texture encoder is shown.
+struct EncoderInput {
+  int width = 0, height = 0;     // pixels; 0: as rendered
+  bool crop = false;             // the animal's window alone (mask_window), instead of the whole picture (published)
+};
+
 struct TextureTraining {
   OptimiserConfig optimiser;
   int batch = 64;
@@ -72,7 +78,7 @@ struct TextureTraining {
   double keypoint_noise_m = 0.003;
   bool turn_cameras = true;
   double color_weight = 5, divergence_weight = 1e-8;
-  int encoder_width = 0, encoder_height = 0;  // pixels of the texture encoder's input; 0: as rendered
+  EncoderInput encoder;          // keys encoder_width, encoder_height, encoder_crop
 };
 
 struct NetepuConfig {

@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <map>
 #include <set>
@@ -28,6 +29,37 @@ Tensor code_distances(const Tensor& queries, const Tensor& gallery, CodeDistance
   }
   const Tensor squared = q.square().sum(1, true) + g.square().sum(1).unsqueeze(0) - 2 * q.matmul(g.t());
   return squared.clamp_min(0).sqrt();
+}
+
+Tensor scatter_normalisation(const CodeSet& known) {
+  const auto z = known.codes.size(1);
+  Tensor scatter = torch::zeros({z, z}, torch::kDouble);
+  std::int64_t freedom = 0;
+  std::map<int, std::vector<std::int64_t>> rows_of_coat;
+  for (std::size_t i = 0; i < known.views.size(); ++i)
+    if (known.views[i].coat >= 0) rows_of_coat[known.views[i].coat].push_back(static_cast<std::int64_t>(i));
+  for (const auto& [coat, rows] : rows_of_coat) {
+    Tensor codes = known.codes.index_select(0, torch::tensor(rows, torch::kLong)).to(torch::kDouble);
+    codes = codes - codes.mean(0, true);
+    scatter += codes.t().matmul(codes);
+    freedom += static_cast<std::int64_t>(rows.size()) - 1;
+  }
+  if (freedom < 1) input_error("no coat has two codes: nothing tells how codes of one coat scatter");
+  scatter /= static_cast<double>(freedom);
+  const double mean_variance = scatter.diag().mean().item<double>();
+  if (!(mean_variance > 0) || !std::isfinite(mean_variance))
+    input_error("codes of one coat are all alike, or not finite: nothing tells how they scatter");
+  scatter += 1e-3 * mean_variance * torch::eye(z, torch::kDouble);
+  // scatter = L L^T; rows times L^-T have the identity as their scatter.
+  return torch::linalg_inv(torch::linalg_cholesky(scatter)).t().contiguous();
+}
+
+CodeSet mapped(CodeSet set, const Tensor& map) {
+  if (set.codes.size(1) != map.size(0))
+    input_error("codes of {} numbers cannot be compared with codes of {}; embed both with the same model", set.codes.size(1),
+                map.size(0));
+  set.codes = set.codes.to(torch::kDouble).matmul(map);
+  return set;
 }
 
 Disjoint disjoint_of(const CodeSet& queries, const CodeSet& gallery) {
@@ -214,6 +246,7 @@ nlohmann::json to_json(const IdentificationResult& r) {
           {"query_codes", r.query_count},
           {"gallery_codes", r.gallery_count},
           {"distance", name_of(r.distance)},
+          {"calibration", r.calibration},
           {"left_out", {{"same_frame", r.disjoint.frames}, {"same_camera", r.disjoint.cameras}}},
           {"all", to_json(r.all)},
           {"by_other_distance", to_json(r.other)},
@@ -222,11 +255,14 @@ nlohmann::json to_json(const IdentificationResult& r) {
 }
 
 std::string markdown(const IdentificationResult& r) {
-  std::string out = fmt::format(
-      "# Identification\n\nQueries: {} codes of {}\n\nGallery: {} codes of {}\n\nNearest code by {} distance; {}. "
-      "Equal distances count "
-      "against the query. Shares in percent.\n\n| queries | rank-1 | rank-5 | mAP | number |\n|---|---|---|---|---|\n",
-      r.query_count, r.queries, r.gallery_count, r.gallery, name_of(r.distance), rule_of(r.disjoint));
+  std::string out = fmt::format("# Identification\n\nQueries: {} codes of {}\n\nGallery: {} codes of {}\n\n", r.query_count,
+                                r.queries, r.gallery_count, r.gallery);
+  if (!r.calibration.empty())
+    out += fmt::format("Scatter of a coat's codes made alike in every direction, as learnt from {}\n\n", r.calibration);
+  out += fmt::format(
+      "Nearest code by {} distance; {}. Equal distances count against the query. Shares in percent.\n\n"
+      "| queries | rank-1 | rank-5 | mAP | number |\n|---|---|---|---|---|\n",
+      name_of(r.distance), rule_of(r.disjoint));
   out += fmt::format("| all | {} |\n", cells(r.all));
   for (const IdentificationResult::Pair& p : r.pairs)
     out += fmt::format("| within coats {} and {} | {} |\n", p.a, p.b, cells(p.figures));

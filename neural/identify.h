@@ -18,6 +18,12 @@ const char* name_of(CodeDistance distance);
 // [Q, z], [G, z] to [Q, G], double. Cosine: 1 - cos; a code of length zero is at distance 1 from all.
 torch::Tensor code_distances(const torch::Tensor& queries, const torch::Tensor& gallery, CodeDistance distance);
 
+// Within-class covariance normalisation (Hatch, Kajarekar and Stolcke 2006): the map [z, z], double, after which codes of one coat
+// (rows times the map) scatter alike in every direction, learnt from codes whose coats are known. A thousandth of the mean variance
+// is added to each, so that a code's idle directions are not blown up. InputError where no coat has two codes.
+torch::Tensor scatter_normalisation(const CodeSet& known);
+CodeSet mapped(CodeSet set, const torch::Tensor& map);
+
 // Which gallery codes a query may not be compared with: those of its own pose, those of its own camera. Unknown (-1) is
 // nobody's.
 struct Disjoint {
@@ -52,6 +58,7 @@ inline constexpr std::pair<int, int> hard_pairs[] = {{9, 10}, {1, 11}};
 
 struct IdentificationResult {
   std::string queries, gallery;  // as described by the sets
+  std::string calibration;       // of the codes that normalised the scatter; empty: none did
   std::int64_t query_count = 0, gallery_count = 0;
   CodeDistance distance = CodeDistance::euclidean;
   Disjoint disjoint;

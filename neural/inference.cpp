@@ -182,11 +182,10 @@ Tensor render_color(Model& model, const Tensor& codes, const AnimalView& view, c
 Tensor encode_coats(Model& model, const Tensor& colors, const Tensor& mask, const Tensor& nnopcs) {
   require_texture(model);
   const Inference guard;
-  const TextureTraining& training = model.config.texture;
   std::vector<Tensor> images;
   for (const Tensor& color : colors.unbind(0))
     images.push_back(make_encoder_image(color, mask, model.config.model.nnopcs ? nnopcs : Tensor(),
-                                        training.encoder_width, training.encoder_height));
+                                        model.config.texture.encoder));
   return model.texture->encode(torch::stack(images)).mean;
 }
 

@@ -200,6 +200,7 @@ void add_infer_commands(CLI::App& app, InferCommands& all, int& status) {
                   });
   c->add_option("queries", i.queries, "codes of embed")->required()->type_name("FILE.npy");
   c->add_option("--gallery", i.gallery, "codes of known individuals; default: the queries, other poses and cameras")->type_name("FILE.npy");
+  c->add_option("--calibrate", i.calibrate, "codes of the training split; what scatters among views of one coat then counts for less")->type_name("FILE.npy");
   c->add_option("-o,--out", i.out, "folder of the results")->type_name("DIR");
   c->add_option("--distance", i.distance, "between codes")->type_name("cosine|euclidean")->check(CLI::IsMember({"cosine", "euclidean"}));
   c->add_flag("--enforce", i.enforce, "exit status 1 where a figure misses its bound");

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+#include <optional>
 
 #include "generator/core/error.h"
 #include "generator/core/random.h"
@@ -280,8 +281,8 @@ FullView SampleSource::view(const ViewId& id) const {
   return out;
 }
 
-torch::Tensor SampleSource::encoder_image(const FullView& view, int width, int height) const {
-  return make_encoder_image(view.color, view.mask, view.nnopcs, width, height);
+torch::Tensor SampleSource::encoder_image(const FullView& view, const EncoderInput& encoder) const {
+  return make_encoder_image(view.color, view.mask, view.nnopcs, encoder);
 }
 
 int SampleSource::batches_per_epoch(const SampleOptions& o) const {
@@ -343,7 +344,7 @@ Batch SampleSource::batch(const SampleOptions& o, int epoch, int index) const {
 
   const int w = width(), h = height(), k = keypoint_count();
   const int sil = o.silhouette_points, sur = o.surface_points;
-  const int ew = o.encoder_width > 0 ? o.encoder_width : w, eh = o.encoder_height > 0 ? o.encoder_height : h;
+  const int ew = o.encoder.width > 0 ? o.encoder.width : w, eh = o.encoder.height > 0 ? o.encoder.height : h;
   const int image_channels = o.nnopcs ? 6 : 3;
   Batch out;
   for (const Item& item : list)
@@ -364,7 +365,7 @@ Batch SampleSource::batch(const SampleOptions& o, int epoch, int index) const {
     out.color = zeros({b, sur, 3});
     out.images = zeros({b, image_channels, eh, ew});
   }
-  const AreaAverage resize(w, h, o.color ? ew : 1, o.color ? eh : 1);
+  const AreaAverage resize_whole(w, h, o.color ? ew : 1, o.color ? eh : 1);
   // Pointers taken here: the threads below touch nothing of LibTorch.
   const auto floats = [](const torch::Tensor& t) { return t.defined() ? t.data_ptr<float>() : nullptr; };
   float *keypoints = floats(out.keypoints), *noisy = floats(out.noisy_keypoints), *flat = floats(out.keypoints_2d);
@@ -428,6 +429,13 @@ Batch SampleSource::batch(const SampleOptions& o, int epoch, int index) const {
       for (int c = 0; c < 3 && color_of; ++c) color[3 * at + c] = static_cast<float>(color_of[3 * from + c]) / 255.0f;
     }
     if (!o.color) return;
+    std::optional<AreaAverage> resize_window;
+    if (o.encoder.crop) {
+      std::vector<double> columns(w), rows(h);
+      for (const std::uint32_t pixel : pixels) columns[pixel % w] += 1, rows[pixel / w] += 1;
+      resize_window.emplace(w, h, ew, eh, mask_window(columns, rows, ew, eh));
+    }
+    const AreaAverage& resize = resize_window ? *resize_window : resize_whole;
     float* planes = images + i * image_channels * static_cast<std::size_t>(ew) * eh;
     for (std::size_t j = 0; j < pixels.size(); ++j) {
       float values[6];

@@ -10,6 +10,8 @@
 #include <string>
 #include <vector>
 
+#include "neural/config.h"
+
 namespace moomill {
 
 enum class Split { train, validate, test };
@@ -45,7 +47,7 @@ struct SampleOptions {
   bool turn_cameras = false;      // ring shift by k x 45 degrees, keypoints turned alike; InputError without such rings
   bool color = false;             // draw a coat, and give color and encoder images
   bool nnopcs = true;             // InputError when the dataset has none
-  int encoder_width = 0, encoder_height = 0;  // of `images`; 0: as rendered
+  EncoderInput encoder;           // of `images`
 };
 
 struct Batch {
@@ -85,9 +87,8 @@ class SampleSource {
   std::vector<int> cameras() const;
   std::string describe() const;  // one line: poses, cameras, coats, resolution, split sizes
   FullView view(const ViewId& id) const;
-  // The texture encoder's input of a view, masked, at width x height (0: as rendered): [6, h, w], or [3, h, w]
-  // where view.nnopcs is undefined.
-  torch::Tensor encoder_image(const FullView& view, int width, int height) const;
+  // The texture encoder's input of a view, masked: [6, h, w], or [3, h, w] where view.nnopcs is undefined.
+  torch::Tensor encoder_image(const FullView& view, const EncoderInput& encoder) const;
 
   // The last, short batch of an epoch is dropped while training, unless it is the only one. InputError when the split is empty.
   int batches_per_epoch(const SampleOptions& options) const;
@@ -110,9 +111,9 @@ class Prefetcher {
   std::unique_ptr<State> state_;
 };
 
-// Pictures to encoder input outside a dataset (a photo with mask): masks, resizes by area, stacks. color [3, h, w], mask [h, w],
-// nnopcs [3, h, w] or undefined.
-torch::Tensor make_encoder_image(const torch::Tensor& color, const torch::Tensor& mask, const torch::Tensor& nnopcs, int width,
-                                 int height);
+// Pictures to encoder input outside a dataset (a photo with mask): masks, crops, resizes by area, stacks. color [3, h, w],
+// mask [h, w], nnopcs [3, h, w] or undefined.
+torch::Tensor make_encoder_image(const torch::Tensor& color, const torch::Tensor& mask, const torch::Tensor& nnopcs,
+                                 const EncoderInput& encoder);
 
 }  // namespace moomill

@@ -202,7 +202,7 @@ TrainingEnd train_texture(const SampleSource& source, const NetepuConfig& config
   Stage stage = make_stage("texture", *model.texture, model.texture->clip_groups(), t, config.model.nnopcs);
   stage.samples.seed = hash_identity({config.seed, hash_text("texture")});
   stage.samples.color = true;
-  stage.samples.encoder_width = t.encoder_width, stage.samples.encoder_height = t.encoder_height;
+  stage.samples.encoder = t.encoder;
   stage.accumulate = [&](const Batch& batch, std::int64_t step) {
     const auto b = static_cast<std::int64_t>(batch.views.size());
     const std::int64_t part = t.micro_batch > 0 ? t.micro_batch : b;

@@ -168,6 +168,37 @@ TEST_CASE("chunks of queries and threads change nothing") {
   }
 }
 
+TEST_CASE("calibration makes what scatters within a coat count for less") {
+  // Two coats 1 apart in y; within a coat x scatters by 100 and y by 0.1: plain distance goes by x, calibrated by y.
+  std::vector<Row> rows;
+  for (int i = 0; i < 40; ++i)
+    for (const int coat : {0, 1}) {
+      const float x = static_cast<float>(100 * std::sin(1.7 * (i + 7 * coat))), wobble = static_cast<float>(0.1 * std::cos(2.9 * i));
+      rows.push_back({x, coat + wobble, {i, i % 5, coat}});
+    }
+  const CodeSet set = codes(rows);
+  const Tensor map = scatter_normalisation(set);
+  const CodeSet level = mapped(set, map);
+  Tensor scatter = torch::zeros({2, 2}, torch::kDouble);
+  for (const int coat : {0, 1}) {
+    Tensor own = level.codes.slice(0, coat, 80, 2);
+    own = own - own.mean(0, true);
+    scatter += own.t().matmul(own) / 78;
+  }
+  // Not quite the identity: a thousandth of the mean variance (5000 / 2) was added, which is more than y's own.
+  CHECK(scatter[0][0].item<double>() == doctest::Approx(1).epsilon(0.01));
+  CHECK(scatter[1][1].item<double>() < 1);
+  CHECK(std::abs(scatter[0][1].item<double>()) < 0.05);
+  const double before = identify_codes(set, set, euclidean).all.rank1, after = identify_codes(level, level, euclidean).all.rank1;
+  CHECK(before < 0.5);
+  CHECK(after == 1);
+
+  CHECK_THROWS_AS(scatter_normalisation(codes({{1, 2, {0, 0, 0}}, {3, 4, {0, 0, 1}}})), InputError);
+  CHECK_THROWS_AS(scatter_normalisation(codes({{1, 2, {0, 0, 0}}, {1, 2, {1, 0, 0}}})), InputError);
+  CHECK_THROWS_AS(scatter_normalisation(codes({{1, 2, {0, 0, 0}}, {NAN, 2, {1, 0, 0}}})), InputError);
+  CHECK_THROWS_AS(mapped(set, torch::eye(3, torch::kDouble)), InputError);
+}
+
 TEST_CASE("codes of different models cannot be compared") {
   CodeSet other = codes({{0, 0, {1, 1, 0}}});
   other.codes = torch::zeros({1, 3});

@@ -37,8 +37,8 @@ NetepuConfig small_config(int keypoints = 10) {
   config.model.neighbours = 6;
   config.model.image_channels = {8, 16};
   config.model.image_blocks = 1;
-  config.texture.encoder_width = 16;
-  config.texture.encoder_height = 12;
+  config.texture.encoder.width = 16;
+  config.texture.encoder.height = 12;
   return config;
 }
 

@@ -42,8 +42,7 @@ SampleOptions all_options() {
   o.keypoint_noise_m = 0.003;
   o.turn_cameras = true;
   o.color = true;
-  o.encoder_width = 13;
-  o.encoder_height = 9;
+  o.encoder = {13, 9};
   return o;
 }
 
@@ -425,11 +424,10 @@ TEST_CASE("encoder images are area averages of masked colour and NNOPCS") {
   o.turn_cameras = false;
   const std::pair<int, int> sizes[] = {{16, 12}, {13, 9}, {32, 24}, {0, 0}, {50, 31}, {1, 1}};
   for (const auto& [w, h] : sizes) {
-    o.encoder_width = w;
-    o.encoder_height = h;
+    o.encoder = {w, h};
     const Batch b = source.batch(o, 1, 0);
     const FullView v = source.view(b.views[2]);
-    const torch::Tensor image = source.encoder_image(v, w, h);
+    const torch::Tensor image = source.encoder_image(v, {w, h});
     CHECK(torch::equal(image, b.images[2]));
     const torch::Tensor whole = (torch::cat({v.color, v.nnopcs}) * v.mask).contiguous();
     const int tw = w ? w : 32, th = h ? h : 24;
@@ -452,9 +450,48 @@ TEST_CASE("encoder images are area averages of masked colour and NNOPCS") {
     CHECK(worst < 1e-5);
   }
   const FullView v = source.view({1, 0, 0});
-  CHECK(make_encoder_image(v.color, v.mask, {}, 16, 12).size(0) == 3);
-  CHECK(torch::allclose(make_encoder_image(v.color, 0.5 * v.mask, v.nnopcs, 16, 12),
-                        0.5 * source.encoder_image(v, 16, 12)));
+  CHECK(make_encoder_image(v.color, v.mask, {}, {16, 12}).size(0) == 3);
+  CHECK(torch::allclose(make_encoder_image(v.color, 0.5 * v.mask, v.nnopcs, {16, 12}),
+                        0.5 * source.encoder_image(v, {16, 12})));
+}
+
+TEST_CASE("a cropped encoder image is the animal's window of the picture") {
+  const TemporaryFolder folder;
+  write_tiny_dataset(folder / "data", {.frames = 10, .rings = 1});
+  const SampleSource source(folder / "data", {0, 1, 2});
+  SampleOptions o = all_options();
+  o.turn_cameras = false;
+  o.encoder = {16, 12, true};
+  const Batch b = source.batch(o, 1, 0);
+  const FullView v = source.view(b.views[2]);
+  const torch::Tensor image = source.encoder_image(v, o.encoder);
+  CHECK(torch::equal(image, b.images[2]));
+  CHECK((image.slice(0, 3) > 0).any(0).sum().item<double>() > 1.3 * (source.encoder_image(v, {16, 12}).slice(0, 3) > 0).any(0).sum().item<double>());
+
+  // A rectangle of 20 x 10 pixels in a picture of 64 x 48, whose red rises to the right: window 20 * 0.99 * 7 / 6 wide.
+  torch::Tensor mask = torch::zeros({48, 64});
+  mask.slice(0, 30, 40).slice(1, 5, 25).fill_(1);
+  const torch::Tensor ramp = torch::arange(64, torch::kFloat).expand({3, 48, 64}) / 64;
+  const torch::Tensor seen = make_encoder_image(ramp, mask, {}, {64, 48, true});
+  const double pixel = 20 * 0.99 * 7 / 6 / 64;  // of the window, in source pixels
+  CHECK(seen.sum().item<double>() * pixel * pixel == doctest::Approx((ramp * mask).sum().item<double>()).epsilon(1e-4));
+  CHECK(value(seen, {0, 24, 32}) == doctest::Approx((15 + 0.5 * pixel) / 64).epsilon(0.05));
+  // A stray pixel far away leaves the window as it was, within a tenth of its width.
+  mask.slice(0, 2, 3).slice(1, 60, 61).fill_(1);
+  CHECK((make_encoder_image(ramp, mask, {}, {64, 48, true}) - seen).abs().mean().item<double>() < 0.02);
+
+  CHECK(make_encoder_image(ramp, torch::zeros({48, 64}), {}, {16, 12, true}).abs().max().item<float>() == 0);
+  torch::Tensor dot = torch::zeros({48, 64});
+  dot.slice(0, 0, 1).slice(1, 63, 64).fill_(1);  // in a corner: the window reaches beyond the picture
+  const torch::Tensor one = make_encoder_image(ramp, dot, {}, {16, 12, true});
+  CHECK(one.isfinite().all().item<bool>());
+  CHECK(one.slice(0, 0, 1).sum().item<double>() * std::pow(8.0 / 12, 2) == doctest::Approx(63.0 / 64).epsilon(1e-4));
+  // Where in the picture the animal stands makes no difference.
+  torch::Tensor moved = torch::zeros({48, 64});
+  moved.slice(0, 10, 20).slice(1, 40, 60).fill_(1);
+  const torch::Tensor flat = torch::full({3, 48, 64}, 0.5f);
+  CHECK(torch::allclose(make_encoder_image(flat, moved, {}, {16, 12, true}),
+                        make_encoder_image(flat, torch::roll(moved, {20, -35}, {0, 1}), {}, {16, 12, true}), 1e-5, 1e-5));
 }
 
 TEST_CASE("a dataset without manifest is read by its folders, with the same batches") {

@@ -76,7 +76,7 @@ void texture_step(benchmark::State& state, const char* name, int frames, bool fu
   TextureNetwork texture(config.model);
   geometry->evaluation = texture->evaluation = evaluation_of(fused, precision);
   torch::optim::AdamW optimiser(texture->parameters(), torch::optim::AdamWOptions(1e-4));
-  const Batch batch = random_batch(config, frames, 0, t.surface_points, t.encoder_width, t.encoder_height);
+  const Batch batch = random_batch(config, frames, 0, t.surface_points, t.encoder.width, t.encoder.height);
   const torch::Tensor noise = torch::randn({frames, config.model.global_features});
   for (auto _ : state) {
     optimiser.zero_grad();
@@ -97,9 +97,9 @@ void texture_step(benchmark::State& state, const char* name, int frames, bool fu
 MOOMILL_BENCH(geometry_step, compact_plain_64, "compact", 64, false, Precision::float32);
 MOOMILL_BENCH(geometry_step, compact_fused_64, "compact", 64, true, Precision::float32);
 MOOMILL_BENCH(geometry_step, compact_bfloat16_64, "compact", 64, true, Precision::bfloat16);
-MOOMILL_BENCH(geometry_step, paper_plain_4, "paper", 4, false, Precision::float32);
-MOOMILL_BENCH(geometry_step, paper_fused_4, "paper", 4, true, Precision::float32);
-MOOMILL_BENCH(geometry_step, paper_bfloat16_4, "paper", 4, true, Precision::bfloat16);
+MOOMILL_BENCH(geometry_step, paper_plain_8, "paper", 8, false, Precision::float32);
+MOOMILL_BENCH(geometry_step, paper_fused_8, "paper", 8, true, Precision::float32);
+MOOMILL_BENCH(geometry_step, paper_bfloat16_8, "paper", 8, true, Precision::bfloat16);
 MOOMILL_BENCH(texture_step, compact_plain_64, "compact", 64, false, Precision::float32);
 MOOMILL_BENCH(texture_step, compact_fused_64, "compact", 64, true, Precision::float32);
 MOOMILL_BENCH(texture_step, compact_bfloat16_64, "compact", 64, true, Precision::bfloat16);
