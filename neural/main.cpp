@@ -22,7 +22,7 @@ using namespace moomill;
 namespace fs = std::filesystem;
 
 struct TrainCommand {
-  std::string dataset, config, out, geometry, cache, precision = "float32";
+  std::string dataset, config, out, geometry, cache, precision = "float32", device = "auto";
   std::vector<int> coats;
   int threads = 0;
   std::int64_t max_steps = 0;
@@ -40,11 +40,19 @@ void use_threads(int threads) {
   at::globalContext().setFlushDenormal(true);
 }
 
+// `auto` is the GPU where LibTorch sees one.
+torch::Device device_of(const std::string& name) {
+  const bool cuda = torch::cuda::is_available();
+  if (name == "cuda" && !cuda) input_error("--device cuda: LibTorch sees no CUDA device here; leave the option out to compute on the CPU");
+  return cuda && name != "cpu" ? torch::kCUDA : torch::kCPU;
+}
+
 TrainingControl control_of(const TrainCommand& c) {
   TrainingControl control;
   control.stop = &stop_wanted;
   control.log = [](const std::string& line) { spdlog::info(line); };
-  control.evaluation = evaluation_of(c.plain, c.precision);
+  control.device = device_of(c.device);
+  control.evaluation = evaluation_of(c.plain || control.device.is_cuda(), c.precision);
   control.max_steps = c.max_steps;
   control.profile = c.profile;
   return control;
@@ -74,6 +82,9 @@ void add_train_options(CLI::App* app, TrainCommand& c) {
   app->add_option("-o,--out", c.out, "folder of the run; a run that is there already goes on")->required()->type_name("DIR");
   app->add_option("--cache", c.cache, "folder of the packed samples; default: beside the dataset")->type_name("DIR");
   app->add_option("--precision", c.precision, "of the larger products")->type_name("float32|bfloat16")->check(CLI::IsMember({"float32", "bfloat16"}));
+  app->add_option("--device", c.device, "a GPU runs the plain operators in float32")
+      ->type_name("auto|cpu|cuda")
+      ->check(CLI::IsMember({"auto", "cpu", "cuda"}));
   app->add_flag("--plain", c.plain, "straightforward LibTorch instead of the fused operators");
   app->add_flag("--profile", c.profile, "tell where a step's time goes");
   app->add_option("--threads", c.threads, "0: one per core")->type_name("N")->check(CLI::Range(0, 4096));

@@ -33,14 +33,23 @@ CameraBatch camera_of(const Batch& batch) {
   return {batch.world_to_camera, batch.keypoints_2d};
 }
 
+constexpr Tensor Batch::*batch_fields[] = {
+    &Batch::keypoints,         &Batch::noisy_keypoints, &Batch::keypoints_2d,   &Batch::world_to_camera, &Batch::near_depth,
+    &Batch::depth_range,       &Batch::silhouette_points, &Batch::silhouette,   &Batch::surface_points,  &Batch::depth,
+    &Batch::nnopcs,            &Batch::color,           &Batch::images};
+
 Batch rows_of(const Batch& b, std::int64_t from, std::int64_t to) {
   Batch part;
   part.views.assign(b.views.begin() + from, b.views.begin() + to);
-  for (Tensor Batch::*field : {&Batch::keypoints, &Batch::noisy_keypoints, &Batch::keypoints_2d, &Batch::world_to_camera,
-                               &Batch::near_depth, &Batch::depth_range, &Batch::silhouette_points, &Batch::silhouette,
-                               &Batch::surface_points, &Batch::depth, &Batch::nnopcs, &Batch::color, &Batch::images})
+  for (Tensor Batch::*field : batch_fields)
     if ((b.*field).defined()) part.*field = (b.*field).slice(0, from, to);
   return part;
+}
+
+Batch on(Batch b, torch::Device device) {
+  for (Tensor Batch::*field : batch_fields)
+    if ((b.*field).defined()) b.*field = (b.*field).to(device);
+  return b;
 }
 
 // What both stages are told alike. `training` is the stage's part of the configuration.
@@ -140,11 +149,13 @@ TrainingEnd train_geometry(const SampleSource& source, const NetepuConfig& confi
   model.config = config;
   model.geometry = GeometryNetwork(config.model);
   model.geometry->evaluation = control.evaluation;
+  model.geometry->to(control.device);
   Stage stage = make_stage("geometry", *model.geometry, model.geometry->clip_groups(), g, config.model.nnopcs);
   stage.samples.seed = config.seed;
   stage.samples.silhouette_points = g.silhouette_points;
   stage.samples.near_sigma = g.near_sigma, stage.samples.far_sigma = g.far_sigma;
-  stage.accumulate = [&](const Batch& batch, std::int64_t) {
+  stage.accumulate = [&](const Batch& drawn, std::int64_t) {
+    const Batch batch = on(drawn, control.device);
     const GeometryLosses l = geometry_losses(predict(model.geometry, batch), batch, config);
     l.total().backward();
     Scalars terms{{"silhouette", l.silhouette.item<double>()},
@@ -158,7 +169,7 @@ TrainingEnd train_geometry(const SampleSource& source, const NetepuConfig& confi
   stage.validate = [&]() -> Scalars {
     Mean mean;
     for (int i = 0; i < source.batches_per_epoch(validation); ++i) {
-      const Batch b = source.batch(validation, 0, i);
+      const Batch b = on(source.batch(validation, 0, i), control.device);
       const auto n = static_cast<double>(b.views.size());
       const GeometryPrediction p = predict(model.geometry, b);
       mean.add(0, geometry_losses(p, b, config).total().item<double>(), n);
@@ -198,6 +209,8 @@ TrainingEnd train_texture(const SampleSource& source, const NetepuConfig& config
   model.coat_names = source.coat_names();
   model.texture = TextureNetwork(config.model);
   model.geometry->evaluation = model.texture->evaluation = control.evaluation;
+  model.geometry->to(control.device);
+  model.texture->to(control.device);
   model.geometry->eval();
   Stage stage = make_stage("texture", *model.texture, model.texture->clip_groups(), t, config.model.nnopcs);
   stage.samples.seed = hash_identity({config.seed, hash_text("texture")});
@@ -209,10 +222,11 @@ TrainingEnd train_texture(const SampleSource& source, const NetepuConfig& config
     double color = 0, divergence = 0;
     for (std::int64_t from = 0; from < b; from += part) {
       const std::int64_t to = std::min(b, from + part);
-      const Batch rows = rows_of(batch, from, to);
+      const Batch rows = on(rows_of(batch, from, to), control.device);
       const Tensor noise = keyed_normal(hash_identity({config.seed, hash_text("code noise"), static_cast<std::uint64_t>(step),
                                                        static_cast<std::uint64_t>(from)}),
-                                        {to - from, config.model.global_features});
+                                        {to - from, config.model.global_features})
+                               .to(control.device);
       const TextureLosses l = texture_losses(model.geometry, model.texture, rows, t, noise);
       const double share = static_cast<double>(to - from) / static_cast<double>(b);  // the colour term is a mean over views
       (l.color * share + l.divergence).backward();
@@ -224,7 +238,7 @@ TrainingEnd train_texture(const SampleSource& source, const NetepuConfig& config
   stage.validate = [&]() -> Scalars {
     Mean mean;
     for (int i = 0; i < source.batches_per_epoch(validation); ++i) {
-      const Batch b = source.batch(validation, 0, i);
+      const Batch b = on(source.batch(validation, 0, i), control.device);
       const auto n = static_cast<double>(b.views.size());
       const TextureCode code = model.texture->encode(b.images);
       const FrozenGeometry frozen = freeze(model.geometry, b);

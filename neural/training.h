@@ -25,6 +25,7 @@ struct TrainingControl {
   std::atomic<bool>* stop = nullptr;             // set: the run saves and ends after the step in flight
   std::function<void(const std::string&)> log;   // a line of progress
   Evaluation evaluation;                         // plain or fused, float or bfloat16
+  torch::Device device = torch::kCPU;            // where the networks and batches live; the fused operators know the CPU only
   std::int64_t max_steps = 0;                    // of this call, for tests; 0: to the end
   bool profile = false;                          // log what a step spends on drawing, forward and backward, updating
 };

@@ -51,7 +51,7 @@ double clip_gradients(const std::vector<torch::Tensor>& group, double most) {
   double square = 0;
   for (const torch::Tensor& p : group) {
     if (!p.grad().defined()) continue;
-    const torch::Tensor g = p.grad().contiguous();
+    const torch::Tensor g = p.grad().cpu().contiguous();
     const float* v = g.data_ptr<float>();
     for (std::int64_t from = 0; from < g.numel(); from += 4096) {  // lanes of partial sums, so that the compiler may vectorise
       const std::int64_t to = std::min(g.numel(), from + 4096);
@@ -132,8 +132,8 @@ Position load_state(const fs::path& file, const NetepuConfig& config, const Stag
   for (std::size_t i = 0; i < parameters.size(); ++i) {
     if (!contents.tensors.contains(moment_name(i, "step"))) continue;
     auto s = std::make_unique<torch::optim::AdamWParamState>();
-    s->exp_avg(contents.tensors[moment_name(i, "mean")]);
-    s->exp_avg_sq(contents.tensors[moment_name(i, "square")]);
+    s->exp_avg(contents.tensors[moment_name(i, "mean")].to(parameters[i].device()));
+    s->exp_avg_sq(contents.tensors[moment_name(i, "square")].to(parameters[i].device()));
     s->step(contents.tensors[moment_name(i, "step")].item<std::int64_t>());
     optimiser.state()[c10::guts::to_string(parameters[i].unsafeGetTensorImpl())] = std::move(s);
   }
@@ -266,7 +266,10 @@ TrainingEnd run_training(const SampleSource& source, const NetepuConfig& config,
       }
       for (auto& group : optimiser.param_groups())
         static_cast<torch::optim::AdamWOptions&>(group.options()).lr(rate);
-      adamw_step(optimiser);
+      if (control.device.is_cpu())
+        adamw_step(optimiser);
+      else
+        optimiser.step();
       updating += lap();
       at.sums.resize(terms.size(), 0.0);
       for (std::size_t i = 0; i < terms.size(); ++i) at.sums[i] += terms[i].second;
