@@ -72,6 +72,7 @@ void fields(TextureTraining& t, F&& f) {
   f("micro_batch", t.micro_batch, 0, 65536);
   f("color_weight", t.color_weight, 0, 1e6);
   f("divergence_weight", t.divergence_weight, 0, 1e6);
+  f("agreement_weight", t.agreement_weight, 0, 1e6);
   f("encoder_width", t.encoder.width, 0, 16384);
   f("encoder_height", t.encoder.height, 0, 16384);
   f("encoder_crop", t.encoder.crop, 0, 1);

@@ -78,6 +78,7 @@ struct TextureTraining {
   double keypoint_noise_m = 0.003;
   bool turn_cameras = true;
   double color_weight = 5, divergence_weight = 1e-8;
+  double agreement_weight = 0;   // of agreement_loss: codes of one individual's views near each other (0: published)
   EncoderInput encoder;          // keys encoder_width, encoder_height, encoder_crop
 };
 

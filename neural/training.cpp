@@ -127,6 +127,19 @@ FrozenGeometry freeze(GeometryNetwork& geometry, const Batch& batch) {
   return f;
 }
 
+Tensor agreement_loss(const Tensor& codes, const std::vector<int>& coats) {
+  constexpr double temperature = 0.1;
+  const auto b = codes.size(0);
+  const Tensor coat = torch::tensor(coats, torch::kLong).to(codes.device());
+  const Tensor self = torch::eye(b, codes.options().dtype(torch::kBool));
+  const Tensor partner = (coat.unsqueeze(0) == coat.unsqueeze(1)) & ~self;
+  const Tensor partners = partner.sum(1), has_partner = partners > 0;
+  const Tensor direction = codes / (codes.square().sum(1, true) + tiny).sqrt();
+  const Tensor likeness = (torch::mm(direction, direction.t()) / temperature).masked_fill(self, -1e9);
+  const Tensor log_share = torch::log_softmax(likeness, 1).masked_fill(~partner, 0).sum(1) / partners.clamp_min(1);
+  return -log_share.masked_fill(~has_partner, 0).sum() / has_partner.sum().clamp_min(1);
+}
+
 TextureLosses texture_losses(GeometryNetwork& geometry, TextureNetwork& texture, const Batch& batch, const TextureTraining& w,
                              const Tensor& noise) {
   const FrozenGeometry frozen = freeze(geometry, batch);
@@ -137,6 +150,11 @@ TextureLosses texture_losses(GeometryNetwork& geometry, TextureNetwork& texture,
   TextureLosses l;
   l.color = w.color_weight * (texture->color(view, batch.surface_points, frozen.nnopcs) - batch.color).square().mean();
   l.divergence = w.divergence_weight * (-0.5 * (1 + logvar - code.mean.square() - logvar.exp()).sum());
+  if (w.agreement_weight > 0) {
+    std::vector<int> coats;
+    for (const ViewId& view_id : batch.views) coats.push_back(view_id.coat);
+    l.agreement = w.agreement_weight * agreement_loss(code.mean, coats);
+  }
   return l;
 }
 
@@ -219,7 +237,7 @@ TrainingEnd train_texture(const SampleSource& source, const NetepuConfig& config
   stage.accumulate = [&](const Batch& batch, std::int64_t step) {
     const auto b = static_cast<std::int64_t>(batch.views.size());
     const std::int64_t part = t.micro_batch > 0 ? t.micro_batch : b;
-    double color = 0, divergence = 0;
+    double color = 0, divergence = 0, agreement = 0;
     for (std::int64_t from = 0; from < b; from += part) {
       const std::int64_t to = std::min(b, from + part);
       const Batch rows = on(rows_of(batch, from, to), control.device);
@@ -228,11 +246,15 @@ TrainingEnd train_texture(const SampleSource& source, const NetepuConfig& config
                                         {to - from, config.model.global_features})
                                .to(control.device);
       const TextureLosses l = texture_losses(model.geometry, model.texture, rows, t, noise);
-      const double share = static_cast<double>(to - from) / static_cast<double>(b);  // the colour term is a mean over views
-      (l.color * share + l.divergence).backward();
+      const double share = static_cast<double>(to - from) / static_cast<double>(b);  // but for divergence, terms are means over views
+      const Tensor means = l.agreement.defined() ? l.color + l.agreement : l.color;
+      (means * share + l.divergence).backward();
       color += share * l.color.item<double>(), divergence += l.divergence.item<double>();
+      if (l.agreement.defined()) agreement += share * l.agreement.item<double>();
     }
-    return Scalars{{"color", color}, {"divergence", divergence}};
+    Scalars terms{{"color", color}, {"divergence", divergence}};
+    if (t.agreement_weight > 0) terms.emplace_back("agreement", agreement);
+    return terms;
   };
   const SampleOptions validation = for_validation(stage.samples, 4);
   stage.validate = [&]() -> Scalars {

@@ -57,10 +57,16 @@ struct GeometryLosses {
 };
 GeometryLosses geometry_losses(const GeometryPrediction& prediction, const Batch& batch, const NetepuConfig& config);
 
-// Of the texture: colour and divergence; `noise` [B, z] is standard normal, or undefined for the mean code.
+// How little the codes of one individual's views agree, against those of the others in the batch: supervised contrastive loss (Khosla et
+// al. 2020, its L_out) of code directions at temperature 0.1, mean over the views that have a partner of their coat; 0 where
+// none has. codes [B, z], coats B long.
+torch::Tensor agreement_loss(const torch::Tensor& codes, const std::vector<int>& coats);
+
+// Of the texture: colour, divergence and agreement (undefined at weight 0); `noise` [B, z] is standard normal, or undefined for
+// the mean code.
 struct TextureLosses {
-  torch::Tensor color, divergence;
-  torch::Tensor total() const { return color + divergence; }
+  torch::Tensor color, divergence, agreement;
+  torch::Tensor total() const { return agreement.defined() ? color + divergence + agreement : color + divergence; }
 };
 TextureLosses texture_losses(GeometryNetwork& geometry, TextureNetwork& texture, const Batch& batch,
                              const TextureTraining& weights, const torch::Tensor& noise);

@@ -88,6 +88,7 @@ TEST_CASE("netepu refuses what does not fit, in one sentence, with exit status 2
 
   b.refuses("train-geometri data", "unknown command 'train-geometri'; did you mean 'train-geometry'?");
   b.refuses("train-geometry data -o g", "--config is required");
+  if (!torch::cuda::is_available()) b.refuses("train-geometry data --config small.toml -o g --device cuda", "no CUDA device");
   b.refuses("train-geometry absent --config small.toml -o g", "absent");
   b.refuses("train-geometry data --config bad.toml -o g", "bad.toml:2: unknown key 'local_feature'");
   b.refuses("train-geometry data --config nosuch -o g", "nosuch.toml cannot be read");

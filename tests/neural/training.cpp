@@ -82,6 +82,30 @@ Batch first_batch(const SampleSource& source, const NetepuConfig& c, bool color)
 
 }  // namespace
 
+TEST_CASE("agreement of codes: worked out by hand, and its extremes") {
+  // Directions: two of coat 0 along x, one of coat 1 along y. Each of the two sees likeness 10 of its partner and 0 of the other.
+  const torch::Tensor codes = torch::tensor({{2.0, 0.0}, {5.0, 0.0}, {0.0, 3.0}}, torch::kDouble);
+  CHECK(agreement_loss(codes, {0, 0, 1}).item<double>() == doctest::Approx(std::log1p(std::exp(-10.0))).epsilon(1e-6));
+  CHECK(agreement_loss(codes, {0, 1, 0}).item<double>() == doctest::Approx(0.5 * (10 + std::log1p(std::exp(-10.0)) + std::log(2.0))).epsilon(1e-6));
+  CHECK(agreement_loss(codes, {0, 1, 2}).item<double>() == 0);
+  CHECK(agreement_loss(codes.slice(0, 0, 1), {4}).item<double>() == 0);
+  for (const double size : {0.0, 1e-20, 1e15}) {
+    torch::Tensor extreme = (codes * size).to(torch::kFloat).requires_grad_();
+    const torch::Tensor loss = agreement_loss(extreme, {0, 0, 1});
+    loss.backward();
+    CHECK(std::isfinite(loss.item<double>()));
+    CHECK(extreme.grad().isfinite().all().item<bool>());
+  }
+  torch::Tensor random = torch::randn({9, 4}, torch::kDouble).requires_grad_();
+  const std::vector<int> coats{0, 1, 2, 0, 1, 2, 0, 3, 3};
+  CHECK(torch::autograd::grad({agreement_loss(random, coats)}, {random})[0].isfinite().all().item<bool>());
+  const torch::Tensor slope = torch::autograd::grad({agreement_loss(random, coats)}, {random})[0], step = torch::randn_like(random);
+  const double h = 1e-6;
+  torch::NoGradGuard fixed;
+  const double measured = (agreement_loss(random + h * step, coats) - agreement_loss(random - h * step, coats)).item<double>() / (2 * h);
+  CHECK((slope * step).sum().item<double>() == doctest::Approx(measured).epsilon(1e-5));
+}
+
 TEST_CASE("the geometry network learns one batch by heart") {
   const Tiny tiny;
   NetepuConfig c = small_config(*tiny.source);
