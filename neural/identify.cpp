@@ -171,8 +171,13 @@ IdentificationResult identify_codes(const CodeSet& queries, const CodeSet& galle
     const int named = gallery.views[static_cast<std::size_t>(matches[i].nearest)].coat;
     if (named >= 0) ++r.nearest[place.at(coat)][place.at(named)];
   }
-  for (const auto& [a, b] : hard_pairs) {
-    if (!names.contains(a) || !names.contains(b)) continue;
+  const auto coat_named = [&](const std::string& wanted) {
+    const auto found = std::find_if(names.begin(), names.end(), [&](const auto& entry) { return entry.second == wanted; });
+    return found == names.end() ? -1 : found->first;
+  };
+  for (const auto& [first, second] : hard_pairs) {
+    const int a = coat_named(first), b = coat_named(second);
+    if (a < 0 || b < 0) continue;
     r.pairs.push_back({a, b, summarise(match_codes(queries, gallery, distance, r.disjoint, {a, b}), queries)});
   }
   return r;

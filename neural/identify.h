@@ -53,8 +53,8 @@ struct Reidentification {
 // coat: of its queries alone; -1: of all.
 Reidentification summarise(const std::vector<QueryMatch>& matches, const CodeSet& queries, int coat = -1);
 
-// The coats of netepu's data that look alike by eye.
-inline constexpr std::pair<int, int> hard_pairs[] = {{9, 10}, {1, 11}};
+// The cow's coats that look alike by eye, by name: numbers mean other animals in other datasets.
+inline constexpr std::pair<const char*, const char*> hard_pairs[] = {{"09_grey", "10_white"}, {"01_brown_spotted", "11_limousin"}};
 
 struct IdentificationResult {
   std::string queries, gallery;  // as described by the sets
