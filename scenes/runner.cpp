@@ -380,7 +380,7 @@ std::shared_ptr<const Dressed> Mill::dress(const Frame& frame, int batch) const 
   return out;
 }
 
-View Mill::trace_coats(const Frame& frame, const CameraRecord& record, const Dressed& dressed) const {
+View Mill::trace_coats(const Frame& frame, const CameraRecord& record, const Dressed& dressed, const Resampling& resampling) const {
   set_float_state();
   ++counts_.radiance;
   const Camera camera = to_camera(record);
@@ -390,11 +390,12 @@ View Mill::trace_coats(const Frame& frame, const CameraRecord& record, const Dre
   view.width = record.width;
   view.height = record.height;
   PathOptions options;
-  options.samples = spec_.render.samples;
+  options.samples = resampling.samples > 0 ? resampling.samples : spec_.render.samples;
   options.max_bounces = spec_.render.max_bounces;
   options.filter_radius = spec_.render.filter_radius;
   options.environment_visible = spec_.background.kind == BackgroundSpec::Kind::environment;
   options.stream = stream_of(spec_, frame.number, record.id, Stream::light);
+  if (resampling.repetition != 0) options.stream = hash_identity({options.stream, resampling.repetition});
   PixelMask mask;
   if (options.environment_visible || spec_.ground.present) {  // something may be seen in every pixel
     mask = PixelMask(camera.width, camera.height);
