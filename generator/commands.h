@@ -69,6 +69,14 @@ struct ConvergeCommand {
 };
 int run_converge(const ConvergeCommand& command, std::atomic<bool>& stop);
 
+struct LeaveOutCommand {
+  std::string scene, out;
+  SceneOptions options;  // without frames: the first
+  int repetitions = 5;
+  bool enforce = false;
+};
+int run_leave_out(const LeaveOutCommand& command, std::atomic<bool>& stop);
+
 struct CoatBakeCommand {
   std::string coat, rig, out;
   std::string breed;  // instead of a coat: individuals of this breed, into the folder `out`

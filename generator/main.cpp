@@ -100,6 +100,15 @@ int run(int argc, char** argv) {
   c->add_option("--slope-at-most", converge.slope_at_most, "bound of the slope of MSE against samples; default -0.97")->type_name("X");
   c->add_flag("--enforce", converge.enforce, "exit status 1 where a figure misses its bound");
 
+  LeaveOutCommand leave_out;
+  c = add_command(app, "leave-out", "Time and memory that a scene saves with one modality, one light, one coat less",
+                  "moomill leave-out scenes/quick.toml -o out/leave_out", status, [&] { return run_leave_out(leave_out, stop_wanted); });
+  c->add_option("scene", leave_out.scene, "scene file")->required()->type_name("SCENE");
+  c->add_option("-o,--out", leave_out.out, "folder for summary.json and table.md")->required()->type_name("DIR");
+  c->add_option("--repeats", leave_out.repetitions, "pairs of runs of every part; default 5")->type_name("N")->check(CLI::Range(1, 1000));
+  c->add_flag("--enforce", leave_out.enforce, "exit status 1 where a figure misses its bound");
+  add_scene_options(c, leave_out.options);
+
   CLI::App* rig = app.add_subcommand("rig", "Look at rigs and species");
   rig->require_subcommand(1);
   add_example(rig, "moomill rig check cow");

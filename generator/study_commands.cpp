@@ -6,6 +6,7 @@
 #include "scenes/scene.h"
 #include "validate/studies/converge.h"
 #include "validate/studies/deformation.h"
+#include "validate/studies/leave_out.h"
 #include "validate/studies/motion.h"
 #include "validate/studies/silhouette.h"
 #include "validate/studies/study.h"
@@ -66,6 +67,26 @@ int run_converge(const ConvergeCommand& command, std::atomic<bool>& stop) {
   const StudyResult result = convergence_study(title, measured, command.slope_at_most, against);
   for (const auto& [name, text] : convergence_plots(measured, against)) write_file_atomically(out / name, text);
   const int missed = finish_study(result, command.out);
+  return command.enforce ? missed : 0;
+}
+
+int run_leave_out(const LeaveOutCommand& command, std::atomic<bool>& stop) {
+  SceneSpec scene = read_scene(command.scene);
+  if (command.options.frames.empty()) scene.frames.resize(1);
+  apply_overrides(scene, parse_overrides(command.options));
+  LeaveOutOptions options;
+  options.repetitions = command.repetitions;
+  options.folder = command.out;
+  options.stop = &stop;
+  std::vector<LeaveOut> measured;
+  {
+    ProgressBar bar("runs");
+    options.progress = [&bar](std::size_t done, std::size_t total, const std::string& stage) { bar.update(done, total, stage); };
+    measured = measure_leave_out(scene, options);
+  }
+  const std::string title = fmt::format("What leaving out saves: {}, {} frames, {} x {}", fs::path(command.scene).filename().string(),
+                                        scene.frames.size(), scene.cameras.width, scene.cameras.height);
+  const int missed = finish_study(leave_out_study(title, measured), command.out);
   return command.enforce ? missed : 0;
 }
 

@@ -141,3 +141,42 @@ TEST_CASE("convergence tables come back as written, and what is none is refused 
   CHECK_THROWS_AS(read_convergence(test::TemporaryFile("some.csv", "a,b\n").path), InputError);
   CHECK_THROWS_AS(read_convergence(file.folder() / "none"), InputError);
 }
+
+TEST_CASE("a small scene converges against its own reference, with repetitions that differ and runs that agree") {
+  SceneSpec scene = read_scene(data_root() / "scenes/quick.toml");
+  Overrides o;
+  o.first_frame = o.last_frame = 1;
+  o.coats = {0, 11};
+  o.resolution = {40, 30};
+  o.cameras = {2};
+  apply_overrides(scene, o);
+  scene.render.coat_resolution = 64;
+  ConvergeOptions options;
+  options.max_samples = 16;
+  options.repetitions = 2;
+  const Convergence measured = measure_convergence(scene, options);
+  REQUIRE(measured.rows.size() == 2 * 2 * 5);  // repetitions, coats, sample counts
+  REQUIRE(measured.references.size() == 2);
+  CHECK(measured.references[0].samples == 256);
+  CHECK(measured.rows[0].error.mse != measured.rows[10].error.mse);  // the second repetition of the same picture
+  CHECK(measured.rows[0].samples == measured.rows[10].samples);
+  const StudyResult study = convergence_study("small", measured, -0.8, Against{measured.rows, 4});
+  for (const Figure& f : study.figures) {
+    CAPTURE(f.name);
+    CHECK(f.holds());
+    // Against itself neither is faster; on so few pixels one repetition may be luckier than the other.
+    if (f.name == "speed-up over moomill at equal relative MSE, core seconds: median") CHECK(f.value == doctest::Approx(1).epsilon(0.7));
+  }
+  // Nothing but the times depends on the number of threads.
+  options.threads = 1;
+  options.repetitions = 1;
+  options.max_samples = 4;
+  options.reference_samples = 256;
+  const Convergence again = measure_convergence(scene, options);
+  for (int i = 0; i < 6; ++i) CHECK(again.rows[i].error.mse == measured.rows[i].error.mse);
+  for (const auto& [name, svg] : convergence_plots(measured, std::nullopt)) {
+    CAPTURE(name);
+    CHECK(svg.find("nan") == std::string::npos);
+    CHECK(svg.find("<polyline") != std::string::npos);
+  }
+}

@@ -1,7 +1,5 @@
 #include "validate/studies/converge.h"
 
-#include <time.h>
-
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -12,6 +10,7 @@
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
 #include "generator/core/random.h"
+#include "generator/core/stage_times.h"
 #include "scenes/runner.h"
 
 namespace moomill {
@@ -27,17 +26,12 @@ struct Times {
 class Stopwatch {
  public:
   Times read() const {
-    return {std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count(), processor() - processor_start_};
+    return {std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count(), process_processor_seconds() - processor_start_};
   }
 
  private:
-  static double processor() {
-    timespec t{};
-    clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &t);
-    return static_cast<double>(t.tv_sec) + 1e-9 * static_cast<double>(t.tv_nsec);
-  }
   std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
-  double processor_start_ = processor();
+  double processor_start_ = process_processor_seconds();
 };
 
 // One view in every coat, and what it took, per coat.
