@@ -72,6 +72,7 @@ int run_converge(const ConvergeCommand& command, std::atomic<bool>& stop);
 struct LeaveOutCommand {
   std::string scene, out;
   SceneOptions options;  // without frames: the first
+  std::string parts;     // "modality depth,coat 11"; empty: all
   int repetitions = 5;
   bool enforce = false;
 };

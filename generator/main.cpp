@@ -105,6 +105,7 @@ int run(int argc, char** argv) {
                   "moomill leave-out scenes/quick.toml -o out/leave_out", status, [&] { return run_leave_out(leave_out, stop_wanted); });
   c->add_option("scene", leave_out.scene, "scene file")->required()->type_name("SCENE");
   c->add_option("-o,--out", leave_out.out, "folder for summary.json and table.md")->required()->type_name("DIR");
+  c->add_option("--parts", leave_out.parts, "these only; default: every modality, light and coat")->type_name("'modality depth,coat 11'");
   c->add_option("--repeats", leave_out.repetitions, "pairs of runs of every part; default 5")->type_name("N")->check(CLI::Range(1, 1000));
   c->add_flag("--enforce", leave_out.enforce, "exit status 1 where a figure misses its bound");
   add_scene_options(c, leave_out.options);

@@ -77,6 +77,7 @@ int run_leave_out(const LeaveOutCommand& command, std::atomic<bool>& stop) {
   LeaveOutOptions options;
   options.repetitions = command.repetitions;
   options.folder = command.out;
+  if (!command.parts.empty()) options.parts = parse_words("--parts", command.parts);
   options.stop = &stop;
   std::vector<LeaveOut> measured;
   {

@@ -11,6 +11,7 @@
 
 #include "generator/core/error.h"
 #include "generator/core/stage_times.h"
+#include "generator/core/words.h"
 #include "scenes/generate.h"
 #include "validate/studies/error_measures.h"
 
@@ -139,7 +140,16 @@ Run run_alone(const SceneSpec& scene, const fs::path& folder) {
 
 std::vector<LeaveOut> measure_leave_out(const SceneSpec& scene, const LeaveOutOptions& options) {
   std::vector<LeaveOut> out;
-  for (Variant& v : variants_of(scene)) out.push_back({std::move(v), {}, {}});
+  std::vector<Variant> all = variants_of(scene);
+  for (const std::string& part : options.parts)
+    if (std::none_of(all.begin(), all.end(), [&](const Variant& v) { return v.part == part; })) {
+      std::vector<std::string> names;
+      for (const Variant& v : all) names.push_back(v.part);
+      input_error("--parts: '{}' cannot be left out of {}{}", part, scene.file, suggestion(part, names, "what can is"));
+    }
+  for (Variant& v : all)
+    if (options.parts.empty() || std::find(options.parts.begin(), options.parts.end(), v.part) != options.parts.end())
+      out.push_back({std::move(v), {}, {}});
   const std::size_t total = static_cast<std::size_t>(options.repetitions) * (2 * out.size());
   std::size_t done = 0;
   const auto run = [&](const SceneSpec& s, const std::string& what) {

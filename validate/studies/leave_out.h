@@ -36,6 +36,7 @@ struct LeaveOut {
 };
 struct LeaveOutOptions {
   int repetitions = 5;
+  std::vector<std::string> parts;  // of those of variants_of(); empty: all
   std::filesystem::path folder;  // where the datasets are made, and deleted again
   std::function<void(std::size_t, std::size_t, const std::string&)> progress;
   const std::atomic<bool>* stop = nullptr;
