@@ -60,6 +60,24 @@ struct CompareCommand {
 };
 int run_rig_compare(const CompareCommand& command);
 
+struct ConvergeCommand {
+  std::string scene, out, against;
+  SceneOptions options;  // what is empty is chosen small: one frame, three cameras, two coats, 160 pixels wide
+  int max_samples = 1024, repetitions = 3, reference_samples = 0, threads = 0, at_samples = 64;
+  double slope_at_most = -0.97;
+  bool enforce = false;  // exit status 1 where a figure misses its bound
+};
+int run_converge(const ConvergeCommand& command, std::atomic<bool>& stop);
+
+struct LeaveOutCommand {
+  std::string scene, out;
+  SceneOptions options;  // without frames: the first
+  std::string parts;     // "modality depth,coat 11"; empty: all
+  int repetitions = 5;
+  bool enforce = false;
+};
+int run_leave_out(const LeaveOutCommand& command, std::atomic<bool>& stop);
+
 struct CoatBakeCommand {
   std::string coat, rig, out;
   std::string breed;  // instead of a coat: individuals of this breed, into the folder `out`

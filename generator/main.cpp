@@ -82,6 +82,34 @@ int run(int argc, char** argv) {
                   "moomill validate out/quick", status, [&] { return run_validate(folder); });
   c->add_option("dataset", folder, "dataset folder")->required()->type_name("DIR");
 
+  ConvergeCommand converge;
+  c = add_command(app, "converge", "Error of the pictures of a scene against samples and run time, and against another renderer's",
+                  "moomill converge scenes/quick.toml -o out/converge --max-spp 256", status, [&] { return run_converge(converge, stop_wanted); });
+  c->add_option("scene", converge.scene, "scene file")->required()->type_name("SCENE");
+  c->add_option("-o,--out", converge.out, "folder for convergence.csv, summary.json, table.md and plots")->required()->type_name("DIR");
+  c->add_option("--against", converge.against, "convergence.csv of another run or renderer, or its folder; gives the speed-up at equal error")->type_name("DIR");
+  c->add_option("--at-spp", converge.at_samples, "of --against: reach its error at so many samples; default 64")->type_name("N")->check(CLI::Range(1, largest_samples));
+  c->add_option("--frames,--frame", converge.options.frames, "frames A to B; default: the first")->type_name("A:B");
+  c->add_option("--cameras", converge.options.cameras, "camera ids; default: three spread over the scene's")->type_name("0,2,5:7");
+  c->add_option("--coats", converge.options.coats, "coat indices; default: the scene's first and last")->type_name("0,11");
+  c->add_option("--resolution", converge.options.resolution, "of the pictures; default: 160 pixels wide")->type_name("WxH");
+  c->add_option("--max-spp", converge.max_samples, "measure 1, 2, 4, ... samples per pixel up to this; default 1024")->type_name("N")->check(CLI::Range(1, 65536));
+  c->add_option("--repeats", converge.repetitions, "of every sample count, with independent samples; default 3")->type_name("N")->check(CLI::Range(1, 1000));
+  c->add_option("--reference-spp", converge.reference_samples, "of the references; default 16 times --max-spp")->type_name("N")->check(CLI::Range(2, largest_samples));
+  c->add_option("--threads", converge.threads, "0: one per core")->type_name("N")->check(CLI::Range(0, 4096));
+  c->add_option("--slope-at-most", converge.slope_at_most, "bound of the slope of MSE against samples; default -0.97")->type_name("X");
+  c->add_flag("--enforce", converge.enforce, "exit status 1 where a figure misses its bound");
+
+  LeaveOutCommand leave_out;
+  c = add_command(app, "leave-out", "Time and memory that a scene saves with one modality, one light, one coat less",
+                  "moomill leave-out scenes/quick.toml -o out/leave_out", status, [&] { return run_leave_out(leave_out, stop_wanted); });
+  c->add_option("scene", leave_out.scene, "scene file")->required()->type_name("SCENE");
+  c->add_option("-o,--out", leave_out.out, "folder for summary.json and table.md")->required()->type_name("DIR");
+  c->add_option("--parts", leave_out.parts, "these only; default: every modality, light and coat")->type_name("'modality depth,coat 11'");
+  c->add_option("--repeats", leave_out.repetitions, "pairs of runs of every part; default 5")->type_name("N")->check(CLI::Range(1, 1000));
+  c->add_flag("--enforce", leave_out.enforce, "exit status 1 where a figure misses its bound");
+  add_scene_options(c, leave_out.options);
+
   CLI::App* rig = app.add_subcommand("rig", "Look at rigs and species");
   rig->require_subcommand(1);
   add_example(rig, "moomill rig check cow");

@@ -2,8 +2,11 @@
 #include "generator/command_tools.h"
 #include "generator/commands.h"
 #include "generator/dataset/codecs.h"
+#include "generator/progress_bar.h"
 #include "scenes/scene.h"
+#include "validate/studies/converge.h"
 #include "validate/studies/deformation.h"
+#include "validate/studies/leave_out.h"
 #include "validate/studies/motion.h"
 #include "validate/studies/silhouette.h"
 #include "validate/studies/study.h"
@@ -24,6 +27,68 @@ int finish_study(const StudyResult& result, const std::string& folder) {
   }
   if (!folder.empty()) write_study(result, folder);
   return missed > 0 ? 1 : 0;
+}
+
+int run_converge(const ConvergeCommand& command, std::atomic<bool>& stop) {
+  SceneSpec scene = read_scene(command.scene);
+  apply_overrides(scene, parse_overrides(command.options));
+  ConvergeOptions options;
+  options.max_samples = command.max_samples;
+  options.repetitions = command.repetitions;
+  options.reference_samples = command.reference_samples;
+  options.threads = command.threads;
+  options.stop = &stop;
+  const std::vector<int> cameras = read_scene(command.scene).cameras.only;
+  options.cameras_per_frame = static_cast<int>(cameras.empty() ? all_camera_ids(scene.cameras).size() : cameras.size());
+  // Small unless told otherwise: a reference costs sixteen times the largest picture.
+  if (command.options.frames.empty()) scene.frames.resize(1);
+  if (command.options.cameras.empty()) {
+    const std::vector<int> ids = scene.cameras.only.empty() ? all_camera_ids(scene.cameras) : scene.cameras.only;
+    scene.cameras.only.clear();
+    for (std::size_t i = 0; i < std::min<std::size_t>(3, ids.size()); ++i) scene.cameras.only.push_back(ids[i * ids.size() / 3]);
+  }
+  if (command.options.coats.empty() && scene.coat_indices.size() > 2) scene.coat_indices = {scene.coat_indices.front(), scene.coat_indices.back()};
+  if (command.options.resolution.empty()) {
+    const int width = std::min(160, scene.cameras.width);
+    scene.cameras.height = std::max(1, scene.cameras.height * width / scene.cameras.width);
+    scene.cameras.width = width;
+  }
+  std::optional<Against> against;
+  if (!command.against.empty()) against = Against{read_convergence(command.against), command.at_samples};
+  Convergence measured;
+  {
+    ProgressBar bar("samples");
+    options.progress = [&bar](std::size_t done, std::size_t total, const std::string& stage) { bar.update(done, total, stage); };
+    measured = measure_convergence(scene, options);
+  }
+  const fs::path out = command.out;
+  write_file_atomically(out / convergence_file, convergence_csv(measured.rows));
+  const std::string title = fmt::format("Error against run time: {}, {} x {}", fs::path(command.scene).filename().string(), scene.cameras.width, scene.cameras.height);
+  const StudyResult result = convergence_study(title, measured, command.slope_at_most, against);
+  for (const auto& [name, text] : convergence_plots(measured, against)) write_file_atomically(out / name, text);
+  const int missed = finish_study(result, command.out);
+  return command.enforce ? missed : 0;
+}
+
+int run_leave_out(const LeaveOutCommand& command, std::atomic<bool>& stop) {
+  SceneSpec scene = read_scene(command.scene);
+  if (command.options.frames.empty()) scene.frames.resize(1);
+  apply_overrides(scene, parse_overrides(command.options));
+  LeaveOutOptions options;
+  options.repetitions = command.repetitions;
+  options.folder = command.out;
+  if (!command.parts.empty()) options.parts = parse_words("--parts", command.parts);
+  options.stop = &stop;
+  std::vector<LeaveOut> measured;
+  {
+    ProgressBar bar("runs");
+    options.progress = [&bar](std::size_t done, std::size_t total, const std::string& stage) { bar.update(done, total, stage); };
+    measured = measure_leave_out(scene, options);
+  }
+  const std::string title = fmt::format("What leaving out saves: {}, {} frames, {} x {}", fs::path(command.scene).filename().string(),
+                                        scene.frames.size(), scene.cameras.width, scene.cameras.height);
+  const int missed = finish_study(leave_out_study(title, measured), command.out);
+  return command.enforce ? missed : 0;
 }
 
 int run_rig_compare(const CompareCommand& command) {

@@ -3,11 +3,11 @@
 #include <chrono>
 #include <numbers>
 
+#include "generator/core/curves.h"
 #include "generator/core/error.h"
 #include "generator/core/random.h"
 #include "generator/dataset/codecs.h"
 #include "neural/adamw.h"
-#include "neural/curves.h"
 
 namespace moomill {
 namespace {

@@ -5,6 +5,7 @@
 
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
+#include "generator/core/stage_times.h"
 #include "generator/dataset/codecs.h"
 #include "scenes/breed_file.h"
 
@@ -54,7 +55,7 @@ class Baker {
       : species_(species), finish_(read_finish(name)), resolution_(resolution) {}
 
   // All at once: what is learnt of the hide is learnt before any is baked.
-  std::vector<std::optional<Image8>> bake(const std::vector<const ProceduralCoat*>& coats) {
+  std::vector<std::optional<Image8>> bake(const std::vector<const ProceduralCoat*>& coats, const std::vector<Coat>& named) {
     std::vector<std::optional<Image8>> out(coats.size());
     bool any = false;
     for (const ProceduralCoat* coat : coats) {
@@ -65,12 +66,15 @@ class Baker {
     }
     if (any)
       parallel_for(coats.size(), 1, [&](std::size_t i) {
-        if (coats[i]) out[i] = bake_coat(ready_coat(*coats[i], *hide_), *hide_, texels_);
+        if (!coats[i]) return;
+        const StageTimer timer("bake coat", named[i].name);
+        out[i] = bake_coat(ready_coat(*coats[i], *hide_), *hide_, texels_);
       });
     return out;
   }
   FinishMaps finish() {
     prepare();
+    const StageTimer timer("bake finish");
     return bake_finish(finish_, *hide_, texels_);
   }
   int normal = -1, roughness = -1;  // the finish among the appearance's textures, once it is
@@ -78,6 +82,7 @@ class Baker {
  private:
   void prepare() {
     if (hide_) return;
+    const StageTimer timer("hide");
     hide_ = make_hide(species_.rig.surface, species_.rig.part_names, finish_.hair);
     texels_ = map_texels(*hide_, resolution_);
   }
@@ -148,7 +153,7 @@ struct Wardrobe::State {
     std::vector<const ProceduralCoat*> procedural(coats.size(), nullptr);
     for (std::size_t i = 0; i < coats.size(); ++i)
       if ((procedural[i] = std::get_if<ProceduralCoat>(&coats[i].source))) ++counts.coats;
-    std::vector<std::optional<Image8>> out = bakers[animal]->bake(procedural);
+    std::vector<std::optional<Image8>> out = bakers[animal]->bake(procedural, coats);
     for (std::size_t i = 0; i < coats.size(); ++i) {
       const auto* file = std::get_if<ImageCoat>(&coats[i].source);
       if (!file) continue;

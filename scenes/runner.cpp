@@ -5,6 +5,7 @@
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
 #include "generator/core/random.h"
+#include "generator/core/stage_times.h"
 #include "generator/dataset/codecs.h"
 #include "generator/render/labels.h"
 #include "generator/render/path.h"
@@ -80,6 +81,7 @@ Mill::Mill(SceneSpec spec) : spec_(std::move(spec)), loaded_(std::make_unique<Lo
   for (const AnimalSpec& a : spec_.animals) {
     auto [found, fresh] = by_name.try_emplace(a.species, nullptr);
     if (fresh) {
+      const StageTimer timer("species");
       l.species.push_back(std::make_unique<Species>(read_species(a.species, spec_.normalization, folder)));
       found->second = l.species.back().get();
       ++counts_.species;
@@ -193,6 +195,7 @@ Frame Mill::prepare(int frame) const {
     const Species& s = species(a);
     Instance in;
     in.surface = &s.rig.surface;
+    const StageTimer timer("skin");
     in.posed = skin(s.rig, g->bones[a], g->morph_weights[a], s.skinning, scene.origin);
     ++counts_.skins;
     Box posed;
@@ -220,6 +223,7 @@ Frame Mill::prepare(int frame) const {
     scene.instances.push_back(std::move(in));
   }
   if (l.traces) {
+    const StageTimer timer("hierarchy");
     g->accel = std::make_unique<Accel>(scene);
     ++counts_.hierarchies;
   }
@@ -238,6 +242,7 @@ Lights Mill::lights(const Frame& frame, const CameraRecord& camera) const {
   if (spec.environment_file) {
     const std::string name = draw_text(*spec.environment_file, spec_.seed, f, c);
     const double strength = number(spec.environment_strength), yaw = number(spec.environment_yaw_deg);
+    const StageTimer timer("environment");
     lights.environment = loaded_->environments.get(fmt::format("{}|{}|{}", name, strength, yaw), [&] {
       ++counts_.environments;
       const auto path = find_file(name, std::filesystem::path(spec_.file).parent_path());
@@ -330,7 +335,10 @@ View Mill::trace_labels(const Frame& frame, const CameraRecord& record) const {
     input_error("{}: camera {} stands inside an animal in frame {}; raise the radius or move the camera", spec_.file, record.id, frame.number);
 
   if (wanted.any(&ModalityRow::needs_first_hit) || wanted.has(Modality::coverage)) {
-    const FirstHits hits = trace_first_hits(scene, accel, camera, footprint(scene, camera, 0));
+    const FirstHits hits = [&] {
+      const StageTimer timer("first hits");
+      return trace_first_hits(scene, accel, camera, footprint(scene, camera, 0));
+    }();
     ++counts_.first_hits;
     LabelRequest request;
     request.modalities = wanted;
@@ -338,6 +346,7 @@ View Mill::trace_labels(const Frame& frame, const CameraRecord& record) const {
     add_labels(view, scene, hits, request);
     if (wanted.has(Modality::coverage)) {
       ++counts_.coverage;
+      const StageTimer timer("coverage");
       Map map;
       map.modality = Modality::coverage;
       map.f = trace_coverage(scene, accel, camera, hits, stream_of(spec_, frame.number, record.id, Stream::coverage));
@@ -345,11 +354,13 @@ View Mill::trace_labels(const Frame& frame, const CameraRecord& record) const {
     }
     if (wanted.has(Modality::occlusion)) {
       ++counts_.occlusion;
+      const StageTimer timer("occlusion");
       add_occlusion(view, scene, accel, camera, hits);
     }
   }
   if (wanted.has(Modality::keypoints)) {
     ++counts_.keypoints;
+    const StageTimer timer("keypoints");
     for (int a = 0; a < animals(); ++a) {
       std::vector<KeypointView> seen;
       for (std::size_t k = 0; k < g.keypoints[a].size(); ++k)
@@ -380,9 +391,10 @@ std::shared_ptr<const Dressed> Mill::dress(const Frame& frame, int batch) const 
   return out;
 }
 
-View Mill::trace_coats(const Frame& frame, const CameraRecord& record, const Dressed& dressed) const {
+View Mill::trace_coats(const Frame& frame, const CameraRecord& record, const Dressed& dressed, const Resampling& resampling) const {
   set_float_state();
   ++counts_.radiance;
+  const StageTimer timer("light");
   const Camera camera = to_camera(record);
   View view;
   view.frame = frame.number;
@@ -390,11 +402,12 @@ View Mill::trace_coats(const Frame& frame, const CameraRecord& record, const Dre
   view.width = record.width;
   view.height = record.height;
   PathOptions options;
-  options.samples = spec_.render.samples;
+  options.samples = resampling.samples > 0 ? resampling.samples : spec_.render.samples;
   options.max_bounces = spec_.render.max_bounces;
   options.filter_radius = spec_.render.filter_radius;
   options.environment_visible = spec_.background.kind == BackgroundSpec::Kind::environment;
   options.stream = stream_of(spec_, frame.number, record.id, Stream::light);
+  if (resampling.repetition != 0) options.stream = hash_identity({options.stream, resampling.repetition});
   PixelMask mask;
   if (options.environment_visible || spec_.ground.present) {  // something may be seen in every pixel
     mask = PixelMask(camera.width, camera.height);

@@ -41,6 +41,12 @@ struct Dressed {
   std::vector<int> coats;  // indices
 };
 
+// For studies of the estimator: other samples of the same view.
+struct Resampling {
+  int samples = 0;               // per pixel; 0: the scene's
+  std::uint64_t repetition = 0;  // 0: those of the dataset; any other number: samples independent of every other repetition's
+};
+
 class Mill {
  public:
   // Loads species, coats and textures as far as the scene's modalities want them. InputError on anything unusable.
@@ -59,7 +65,8 @@ class Mill {
   int batches() const;  // of coats; 0 where no light is asked for
   std::shared_ptr<const Dressed> dress(const Frame& frame, int batch) const;            // thread-safe
   View trace_labels(const Frame& frame, const CameraRecord& camera) const;              // thread-safe
-  View trace_coats(const Frame& frame, const CameraRecord& camera, const Dressed& dressed) const;  // thread-safe
+  View trace_coats(const Frame& frame, const CameraRecord& camera, const Dressed& dressed,
+                   const Resampling& resampling = {}) const;  // thread-safe
   FrameRecord record(const Frame& frame) const;
   const StageCounts& counts() const { return counts_; }
 

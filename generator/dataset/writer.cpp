@@ -5,6 +5,7 @@
 
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
+#include "generator/core/stage_times.h"
 #include "generator/dataset/codecs.h"
 #include "generator/dataset/encode_view.h"
 #include "generator/dataset/journal.h"
@@ -180,7 +181,9 @@ void DatasetWriter::write_pictures(const View& view) {
   std::vector<std::vector<std::pair<std::string, FileRecord>>> written(view.maps.size());
   parallel_for(view.maps.size(), 1, [&](std::size_t i) {
     if (!s.manifest.modalities.has(view.maps[i].modality)) return;  // computed for another modality's sake
-    for (const EncodedFile& file : encode_map(s.manifest, view, view.maps[i])) {
+    const Map& map = view.maps[i];
+    const StageTimer timer("encode", map.coat < 0 ? row(map.modality).name : fmt::format("{} of coat {}", row(map.modality).name, map.coat));
+    for (const EncodedFile& file : encode_map(s.manifest, view, map)) {
       write_file_atomically(s.folder / file.path, file.bytes.data(), file.bytes.size());
       written[i].emplace_back(file.path,
                               FileRecord{file.bytes.size(), xxh64_hex(file.bytes.data(), file.bytes.size())});

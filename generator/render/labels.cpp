@@ -2,6 +2,7 @@
 
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
+#include "generator/core/stage_times.h"
 #include "generator/render/sampler.h"
 
 namespace moomill {
@@ -72,6 +73,7 @@ void add_labels(View& view, const Scene& scene, const FirstHits& hits, const Lab
       if (labelled(scene, hits.instance[p], request.only_animal)) of_labelled.push_back(p);
   for (const ModalityRow& r : modality_table()) {
     if (!request.modalities.has(r.id) || !is_label(r.id)) continue;
+    const StageTimer timer("labels", r.name);
     Map map;
     map.modality = r.id;
     const auto background = static_cast<float>(r.background);

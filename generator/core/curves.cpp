@@ -1,4 +1,4 @@
-#include "neural/curves.h"
+#include "generator/core/curves.h"
 
 #include <fmt/format.h>
 
@@ -23,13 +23,14 @@ struct Axis {
   double place(double v) const {  // 0 to 1
     return logarithmic ? (std::log10(v) - std::log10(low)) / (std::log10(high) - std::log10(low)) : (v - low) / (high - low);
   }
+  bool shows(double v) const { return std::isfinite(v) && (!logarithmic || v > 0); }
   std::vector<double> ticks() const {
     std::vector<double> out;
     if (logarithmic) {
       const double decades = std::log10(high / low);
       for (double e = std::floor(std::log10(low)); e <= std::ceil(std::log10(high)); ++e)
         for (const double m : {1.0, 2.0, 5.0})
-          if (const double v = m * std::pow(10, e); (m == 1 || decades < 3) && v >= low * 0.999 && v <= high * 1.001) out.push_back(v);
+          if (const double v = m * std::pow(10, e); (m == 1 || decades < 3.5) && v >= low * 0.999 && v <= high * 1.001) out.push_back(v);
       return out;
     }
     const double step = std::pow(10, std::floor(std::log10((high - low) / 3)));
@@ -57,7 +58,7 @@ Axis axis_of(const std::vector<double>& values, bool may_be_logarithmic) {
 
 }  // namespace
 
-std::string draw_curves(const std::string& title, const std::string& x_title, const std::vector<Panel>& panels) {
+std::string draw_curves(const std::string& title, const std::string& x_title, const std::vector<Panel>& panels, bool logarithmic_x) {
   const double height = top + static_cast<double>(panels.size()) * (panel_height + gap) + 14;
   std::string svg = fmt::format(
       "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {0} {1}\" width=\"{0}\" height=\"{1}\" font-family=\"sans-serif\" "
@@ -66,7 +67,7 @@ std::string draw_curves(const std::string& title, const std::string& x_title, co
   std::vector<double> xs;
   for (const Panel& p : panels)
     for (const Curve& c : p.curves) xs.insert(xs.end(), c.x.begin(), c.x.end());
-  const Axis x = axis_of(xs, false);
+  const Axis x = axis_of(xs, logarithmic_x);
   for (std::size_t i = 0; i < panels.size(); ++i) {
     const Panel& p = panels[i];
     const double y0 = top + static_cast<double>(i) * (panel_height + gap), y1 = y0 + panel_height;
@@ -84,8 +85,11 @@ std::string draw_curves(const std::string& title, const std::string& x_title, co
           "<line x1=\"{}\" x2=\"{}\" y1=\"{:.1f}\" y2=\"{:.1f}\" stroke=\"#ddd\"/><text x=\"{}\" y=\"{:.1f}\" "
           "text-anchor=\"end\">{:.4g}</text>\n",
           left, width - right, py(v), py(v), left - 6, py(v) + 4, v);
-    for (const double v : x.ticks())
+    for (const double v : x.ticks()) {
+      if (x.logarithmic)
+        svg += fmt::format("<line x1=\"{0:.1f}\" x2=\"{0:.1f}\" y1=\"{1:.1f}\" y2=\"{2:.1f}\" stroke=\"#ddd\"/>", px(v), y0, y1);
       svg += fmt::format("<text x=\"{:.1f}\" y=\"{:.1f}\" text-anchor=\"middle\">{:.4g}</text>\n", px(v), y1 + 16, v);
+    }
     if (p.bar != 0)
       svg += fmt::format(
           "<line x1=\"{}\" x2=\"{}\" y1=\"{:.1f}\" y2=\"{:.1f}\" stroke=\"#c00\" stroke-dasharray=\"5 4\"/><text x=\"{}\" "
@@ -96,8 +100,9 @@ std::string draw_curves(const std::string& title, const std::string& x_title, co
       const char* color = colors[c % std::size(colors)];
       std::string points;
       for (std::size_t k = 0; k < p.curves[c].x.size(); ++k)
-        if (std::isfinite(p.curves[c].y[k])) points += fmt::format("{:.1f},{:.1f} ", px(p.curves[c].x[k]), py(p.curves[c].y[k]));
-      svg += fmt::format("<polyline points=\"{}\" fill=\"none\" stroke=\"{}\" stroke-width=\"1.6\"/>\n", points, color);
+        if (x.shows(p.curves[c].x[k]) && y.shows(p.curves[c].y[k])) points += fmt::format("{:.1f},{:.1f} ", px(p.curves[c].x[k]), py(p.curves[c].y[k]));
+      svg += fmt::format("<polyline points=\"{}\" fill=\"none\" stroke=\"{}\" stroke-width=\"1.6\"{}/>\n", points, color,
+                         p.curves[c].dashed ? " stroke-dasharray=\"2 4\"" : "");
       svg += fmt::format("<text x=\"{:.1f}\" y=\"{:.1f}\" fill=\"{}\">{}</text>\n", legend, y0 - 6, color, escape(p.curves[c].name));
       legend += 14 + 7.0 * static_cast<double>(p.curves[c].name.size());
     }
