@@ -3,8 +3,8 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
+#include <ctime>
 #include <limits>
 
 #include "generator/core/error.h"
@@ -33,7 +33,7 @@ const std::vector<Group>& groups() {
 StressOutcome run_case(const std::string& group, StressCase what, const StressOptions& options) {
   StressOutcome outcome;
   outcome.group = group;
-  const auto start = std::chrono::steady_clock::now();
+  const std::clock_t start = std::clock();
   try {
     outcome.error = what.measure(options);
     if (std::isnan(outcome.error)) outcome.failure = "the error is not a number";
@@ -41,7 +41,7 @@ StressOutcome run_case(const std::string& group, StressCase what, const StressOp
     outcome.error = std::numeric_limits<double>::infinity();
     outcome.failure = e.what();
   }
-  outcome.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  outcome.seconds = static_cast<double>(std::clock() - start) / CLOCKS_PER_SEC;
   outcome.what = std::move(what);
   return outcome;
 }
@@ -105,7 +105,7 @@ std::vector<StressOutcome> run_stress(const StressOptions& options) {
 StudyResult stress_study(const std::vector<StressOutcome>& outcomes) {
   StudyResult result;
   result.title = "Numerical stability on extreme cases";
-  result.table = "| group | cases | within bounds | nearest to its bound | error / allowed | seconds |\n|---|--:|--:|---|--:|--:|\n";
+  result.table = "| group | cases | within bounds | nearest to its bound | error / allowed | CPU s |\n|---|--:|--:|---|--:|--:|\n";
   double out_of_bounds = 0;
   for (const std::string& group : stress_groups()) {
     int cases = 0, within = 0;
@@ -134,7 +134,7 @@ StudyResult stress_study(const std::vector<StressOutcome>& outcomes) {
 }
 
 void write_stress(const std::vector<StressOutcome>& outcomes, const std::filesystem::path& folder) {
-  std::string csv = "group,case,what,oracle,error,allowed,unit,holds,why,seconds,failure\n";
+  std::string csv = "group,case,what,oracle,error,allowed,unit,holds,why,cpu_seconds,failure\n";
   std::string md = "# Numerical stability on extreme cases\n\nWritten by `moomill stress`. An error without a unit is relative.\n";
   std::string group;
   for (const StressOutcome& o : outcomes) {
@@ -143,7 +143,7 @@ void write_stress(const std::vector<StressOutcome>& outcomes, const std::filesys
                        o.error, c.allowed, c.unit, o.holds() ? "yes" : "no", csv_cell(c.why), o.seconds, csv_cell(o.failure));
     if (group != o.group) {
       group = o.group;
-      md += fmt::format("\n## {}\n\n| case | what is done | oracle | error | allowed | | why this bound | s |\n|---|---|---|--:|--:|---|---|--:|\n",
+      md += fmt::format("\n## {}\n\n| case | what is done | oracle | error | allowed | | why this bound | CPU s |\n|---|---|---|--:|--:|---|---|--:|\n",
                         group);
     }
     md += fmt::format("| {} | {} | {} | {} | {} | {} | {} | {:.2f} |\n", markdown_cell(c.name), markdown_cell(c.what), name(c.oracle),

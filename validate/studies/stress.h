@@ -39,7 +39,7 @@ struct StressOutcome {
   StressCase what;
   std::string group;
   double error = 0;
-  double seconds = 0;
+  double seconds = 0;   // of processor time, all threads together
   std::string failure;  // what was thrown
   bool holds() const { return failure.empty() && error <= what.allowed; }
 };
