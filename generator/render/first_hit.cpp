@@ -49,8 +49,10 @@ PreciseHit resolve(const Scene& scene, const Accel& accel, const dvec3& origin, 
                    std::uint32_t known_instance, std::uint32_t known_triangle) {
   PreciseHit best;
   best.t = std::numeric_limits<double>::infinity();
+  std::vector<std::uint32_t> named;  // instances that any of the rays has met
   auto consider = [&](std::uint32_t instance, std::uint32_t triangle) {
     if (instance == no_hit) return;
+    if (std::find(named.begin(), named.end(), instance) == named.end()) named.push_back(instance);
     const TriangleRef c = corners(scene, instance, triangle);
     double t, u, v;
     if (!intersect_triangle(origin, direction, *c.p0, *c.p1, *c.p2, edge_slack, t, u, v) || t <= 0) return;
@@ -78,8 +80,16 @@ PreciseHit resolve(const Scene& scene, const Accel& accel, const dvec3& origin, 
       misses += rays.instance[i] == no_hit;
     }
     if (best.instance != no_hit) return best;
-    if (misses > 0) break;  // an outline against the background, passed on the outside
+    if (misses > 0) break;  // most likely an outline against the background, passed on the outside
   }
+  // Or a vertex of so many faces that none of the rays met the right one: rare enough to look at every face. Not where
+  // some are cut out, for that only Embree's filter knows.
+  for (std::size_t i = 0; i < named.size(); ++i) {
+    const Instance& in = scene.instances[named[i]];
+    if (scene.cut_out(in)) continue;
+    for (std::size_t k = 0; k < in.surface->triangles.size(); ++k) consider(named[i], static_cast<std::uint32_t>(k));
+  }
+  if (best.instance != no_hit) return best;
   best.t = 0;
   return best;
 }
