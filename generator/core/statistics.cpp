@@ -48,7 +48,8 @@ void Moments::merge(const Moments& other) {
     rescale(b.exponent_);
   else
     b.rescale(exponent_);
-  const double n = static_cast<double>(count_), m = static_cast<double>(b.count_), difference = (b.shift_ - shift_) + (b.mean_ - mean_);
+  const double n = static_cast<double>(count_), m = static_cast<double>(b.count_),
+               difference = (b.shift_ - shift_) + (b.mean_ - mean_);
   count_ += b.count_;
   mean_ += difference * (m / (n + m));
   squares_ += b.squares_ + difference * difference * (n * m / (n + m));
@@ -69,7 +70,9 @@ double Moments::variance() const {
   if (count_ == 0) run_error("the variance of no data is asked for");
   if (count_ == 1) return 0;
   const double v = std::ldexp(squares_ / static_cast<double>(count_ - 1), 2 * exponent_);
-  if (std::isinf(v)) run_error("the variance is more than a double holds ({:.3g} squared); divide the data by its size first", deviation());
+  if (std::isinf(v))
+    run_error("the variance is more than a double holds ({:.3g} squared); divide the data by its size first",
+              deviation());
   return v;
 }
 

@@ -5,15 +5,16 @@
 namespace moomill {
 
 // Welford's recurrence (Technometrics 1962), merged after Chan, Golub and LeVeque (1979). Data is held less its first
-// value, so that an offset cancels before it costs digits, and divided by a power of two that follows its size, so that no
-// square leaves the range of doubles.
+// value, so that an offset cancels before it costs digits, and divided by a power of two that follows its size, so that
+// no square leaves the range of doubles.
 class Moments {
  public:
   void add(double x);  // RunError where x is not finite
   void merge(const Moments& other);
   std::uint64_t count() const { return count_; }
-  double mean() const;       // RunError without data
-  double variance() const;   // of the population the data is drawn from, n - 1; 0 for one value; RunError where no double holds it
+  double mean() const;  // RunError without data
+  double variance()
+      const;  // of the population the data is drawn from, n - 1; 0 for one value; RunError where no double holds it
   double deviation() const;  // its root, also where the variance itself is beyond doubles
  private:
   void rescale(int exponent);

@@ -25,12 +25,24 @@ void holds(const std::string& group) {
 
 }  // namespace
 
-TEST_CASE("stress: geometry stays within its bounds") { holds("geometry"); }
-TEST_CASE("stress: skinning stays within its bounds") { holds("skinning"); }
-TEST_CASE("stress: light stays within its bounds") { holds("light"); }
-TEST_CASE("stress: sampling stays within its bounds") { holds("sampling"); }
-TEST_CASE("stress: keypoints stay within their bounds") { holds("keypoints"); }
-TEST_CASE("stress: statistics stay within their bounds") { holds("statistics"); }
+TEST_CASE("stress: geometry stays within its bounds") {
+  holds("geometry");
+}
+TEST_CASE("stress: skinning stays within its bounds") {
+  holds("skinning");
+}
+TEST_CASE("stress: light stays within its bounds") {
+  holds("light");
+}
+TEST_CASE("stress: sampling stays within its bounds") {
+  holds("sampling");
+}
+TEST_CASE("stress: keypoints stay within their bounds") {
+  holds("keypoints");
+}
+TEST_CASE("stress: statistics stay within their bounds") {
+  holds("statistics");
+}
 
 TEST_CASE("stress: at least 60 cases, each named, explained and told apart") {
   std::size_t cases = 0;
@@ -59,7 +71,8 @@ TEST_CASE("stress: what is out of bounds, not a number or thrown is told and nev
     o.failure = failure;
     return o;
   };
-  const std::vector<StressOutcome> outcomes = {outcome("within", 0.5, ""), outcome("beyond", 2, ""), outcome("thrown", 0, "it fell over")};
+  const std::vector<StressOutcome> outcomes = {outcome("within", 0.5, ""), outcome("beyond", 2, ""),
+                                               outcome("thrown", 0, "it fell over")};
   CHECK(outcomes[0].holds());
   CHECK_FALSE(outcomes[1].holds());
   CHECK_FALSE(outcomes[2].holds());

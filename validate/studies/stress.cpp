@@ -67,9 +67,12 @@ std::string with_unit(double value, const std::string& unit) {
 
 const char* name(Oracle oracle) {
   switch (oracle) {
-    case Oracle::analytic: return "analytic";
-    case Oracle::high_precision: return "high precision";
-    case Oracle::exact_predicate: break;
+    case Oracle::analytic:
+      return "analytic";
+    case Oracle::high_precision:
+      return "high precision";
+    case Oracle::exact_predicate:
+      break;
   }
   return "exact predicate";
 }
@@ -105,7 +108,8 @@ std::vector<StressOutcome> run_stress(const StressOptions& options) {
 StudyResult stress_study(const std::vector<StressOutcome>& outcomes) {
   StudyResult result;
   result.title = "Numerical stability on extreme cases";
-  result.table = "| group | cases | within bounds | nearest to its bound | error / allowed | CPU s |\n|---|--:|--:|---|--:|--:|\n";
+  result.table =
+      "| group | cases | within bounds | nearest to its bound | error / allowed | CPU s |\n|---|--:|--:|---|--:|--:|\n";
   double out_of_bounds = 0;
   for (const std::string& group : stress_groups()) {
     int cases = 0, within = 0;
@@ -135,20 +139,25 @@ StudyResult stress_study(const std::vector<StressOutcome>& outcomes) {
 
 void write_stress(const std::vector<StressOutcome>& outcomes, const std::filesystem::path& folder) {
   std::string csv = "group,case,what,oracle,error,allowed,unit,holds,why,cpu_seconds,failure\n";
-  std::string md = "# Numerical stability on extreme cases\n\nWritten by `moomill stress`. An error without a unit is relative.\n";
+  std::string md =
+      "# Numerical stability on extreme cases\n\nWritten by `moomill stress`. An error without a unit is relative.\n";
   std::string group;
   for (const StressOutcome& o : outcomes) {
     const StressCase& c = o.what;
-    csv += fmt::format("{},{},{},{},{:.6g},{:.6g},{},{},{},{:.3f},{}\n", o.group, csv_cell(c.name), csv_cell(c.what), name(c.oracle),
-                       o.error, c.allowed, c.unit, o.holds() ? "yes" : "no", csv_cell(c.why), o.seconds, csv_cell(o.failure));
+    csv += fmt::format("{},{},{},{},{:.6g},{:.6g},{},{},{},{:.3f},{}\n", o.group, csv_cell(c.name), csv_cell(c.what),
+                       name(c.oracle), o.error, c.allowed, c.unit, o.holds() ? "yes" : "no", csv_cell(c.why), o.seconds,
+                       csv_cell(o.failure));
     if (group != o.group) {
       group = o.group;
-      md += fmt::format("\n## {}\n\n| case | what is done | oracle | error | allowed | | why this bound | CPU s |\n|---|---|---|--:|--:|---|---|--:|\n",
-                        group);
+      md += fmt::format(
+          "\n## {}\n\n| case | what is done | oracle | error | allowed | | why this bound | CPU s "
+          "|\n|---|---|---|--:|--:|---|---|--:|\n",
+          group);
     }
-    md += fmt::format("| {} | {} | {} | {} | {} | {} | {} | {:.2f} |\n", markdown_cell(c.name), markdown_cell(c.what), name(c.oracle),
-                      o.failure.empty() ? with_unit(o.error, c.unit) : markdown_cell("failed: " + o.failure), with_unit(c.allowed, c.unit),
-                      o.holds() ? "ok" : "**OUT**", markdown_cell(c.why), o.seconds);
+    md += fmt::format("| {} | {} | {} | {} | {} | {} | {} | {:.2f} |\n", markdown_cell(c.name), markdown_cell(c.what),
+                      name(c.oracle),
+                      o.failure.empty() ? with_unit(o.error, c.unit) : markdown_cell("failed: " + o.failure),
+                      with_unit(c.allowed, c.unit), o.holds() ? "ok" : "**OUT**", markdown_cell(c.why), o.seconds);
   }
   write_file_atomically(folder / "stress.csv", csv);
   write_file_atomically(folder / "stress.md", md);

@@ -30,8 +30,8 @@ struct StressCase {
   std::string what;  // what is done to what
   Oracle oracle{};
   double allowed = 0;
-  std::string unit;  // of error and bound; empty: relative
-  std::string why;   // why this is the right bound
+  std::string unit;                                     // of error and bound; empty: relative
+  std::string why;                                      // why this is the right bound
   std::function<double(const StressOptions&)> measure;  // the error; throwing, or not finite, is out of bounds
 };
 

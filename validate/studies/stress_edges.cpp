@@ -11,7 +11,9 @@ namespace {
 
 constexpr std::uint64_t rays_per_task = 4096;
 
-double unit(std::uint64_t ray, std::uint64_t what) { return to_unit(hash_identity({0x6372616b, ray, what})); }
+double unit(std::uint64_t ray, std::uint64_t what) {
+  return to_unit(hash_identity({0x6372616b, ray, what}));
+}
 
 // A random point near the middle of a closed mesh, well inside.
 dvec3 inside_point(std::uint64_t ray, double radius) {
@@ -27,7 +29,8 @@ dvec3 target(const Surface& s, std::uint64_t ray, Aim aim) {
   const int k = static_cast<int>(hash_identity({ray, 2}) % 3);
   const dvec3 a(s.rest[t[k]]), b(s.rest[t[(k + 1) % 3]]);
   if (aim == Aim::vertex) return a;
-  if (aim == Aim::around_vertex) return a + 0.1 * unit(ray, 3) * (b - a) + 1e-3 * (dvec3(unit(ray, 4), unit(ray, 5), unit(ray, 6)) - 0.5);
+  if (aim == Aim::around_vertex)
+    return a + 0.1 * unit(ray, 3) * (b - a) + 1e-3 * (dvec3(unit(ray, 4), unit(ray, 5), unit(ray, 6)) - 0.5);
   if (aim == Aim::whole_edge) return a + unit(ray, 3) * (b - a);
   return a + (0.001 + 0.998 * unit(ray, 3)) * (b - a);  // not its ends, which are cases of their own
 }
@@ -104,16 +107,18 @@ double escaped_precise(std::uint64_t rays, Aim aim) {
   return static_cast<double>(escaped);
 }
 
-// Pictures whose pixel centres fall on the edges and vertices of a grid, whole and tipped: pixels without a hit, and the
-// largest relative error of the depth where there are none.
+// Pictures whose pixel centres fall on the edges and vertices of a grid, whole and tipped: pixels without a hit, and
+// the largest relative error of the depth where there are none.
 double picture_of_edges(const StressOptions&) {
   double holes = 0, worst = 0;
   for (const float tilt : {0.0f, 0.5f}) {
     Stage stage;
-    stage.add(stress_plate({-1, -1, -tilt}, {2, 0, 2 * tilt}, {0, 2, 0}, 64));  // vertices are multiples of 1 / 32: exact
+    stage.add(
+        stress_plate({-1, -1, -tilt}, {2, 0, 2 * tilt}, {0, 2, 0}, 64));  // vertices are multiples of 1 / 32: exact
     const int size = 249;
     Camera camera = stress_camera({0, 0, 8}, {0, 0, 0}, 10, size, size);
-    camera.fx = camera.fy = 1024;  // pixel pitch 1 / 128 m at the plate's middle; an odd picture has a pixel at the axis
+    camera.fx = camera.fy =
+        1024;  // pixel pitch 1 / 128 m at the plate's middle; an odd picture has a pixel at the axis
     const Accel accel(stage.scene);
     const FirstHits hits = trace_first_hits(stage.scene, accel, camera, all_pixels(camera));
     for (int y = 0; y < size; ++y)
@@ -171,26 +176,37 @@ std::vector<StressCase> edge_stress() {
   constexpr Oracle predicate = Oracle::exact_predicate;
   const char* const no_crack = "a ray from inside a closed mesh meets it";
   return {
-      {"cracks at edges, packets", "packets of eight from inside a closed mesh of 36,480 faces at points of its edges, a thousandth off their ends", predicate, 0, "rays", no_crack,
+      {"cracks at edges, packets",
+       "packets of eight from inside a closed mesh of 36,480 faces at points of its edges, a thousandth off their ends",
+       predicate, 0, "rays", no_crack,
        [](const StressOptions& o) { return escaped_packets(o.edge_rays, Aim::edge, true); }},
-      {"cracks at edges, single rays", "single rays from inside, nearest hit and occlusion, at points of edges", predicate, 0, "rays", no_crack,
+      {"cracks at edges, single rays", "single rays from inside, nearest hit and occlusion, at points of edges",
+       predicate, 0, "rays", no_crack,
        [](const StressOptions& o) { return escaped_single(o.edge_rays / 2, Aim::edge); }},
-      {"cracks around vertices", "packets from inside within 0.5 mm and a tenth of an edge of the vertices", predicate, 0, "rays", no_crack,
+      {"cracks around vertices", "packets from inside within 0.5 mm and a tenth of an edge of the vertices", predicate,
+       0, "rays", no_crack,
        [](const StressOptions& o) { return escaped_packets(o.edge_rays / 2, Aim::around_vertex, false); }},
-      {"cracks at vertices, raw rays", "packets from inside at the vertices exactly, to the last bit of their coordinates", predicate, 0.02, "of the rays",
-       "Embree's test is watertight across edges; at a vertex, within 1e-7 of it, each face's test rounds on its own. Labels and keypoints do not "
-       "rely on it (see below), and of the path tracer's random rays one in 1e11 comes so near",
-       [](const StressOptions& o) { return escaped_packets(o.edge_rays / 10, Aim::vertex, false) / static_cast<double>(o.edge_rays / 10); }},
+      {"cracks at vertices, raw rays",
+       "packets from inside at the vertices exactly, to the last bit of their coordinates", predicate, 0.02,
+       "of the rays",
+       "Embree's test is watertight across edges; at a vertex, within 1e-7 of it, each face's test rounds on its own. "
+       "Labels and keypoints do not "
+       "rely on it (see below), and of the path tracer's random rays, by estimate, less than one in 1e9 slips",
+       [](const StressOptions& o) {
+         return escaped_packets(o.edge_rays / 10, Aim::vertex, false) / static_cast<double>(o.edge_rays / 10);
+       }},
       {"cracks at a vertex of 192 faces", "single rays from inside at the two poles", predicate, 0, "rays", no_crack,
        [](const StressOptions& o) { return escaped_single(o.edge_rays / 4, Aim::pole); }},
       {"cracks of label rays at edges", "rays refined in double, from inside at points of edges", predicate, 0, "rays",
-       "each has a hit, no farther than the point aimed at by more than 1e-9", [](const StressOptions& o) { return escaped_precise(o.edge_rays / 10, Aim::whole_edge); }},
+       "each has a hit, no farther than the point aimed at by more than 1e-9",
+       [](const StressOptions& o) { return escaped_precise(o.edge_rays / 10, Aim::whole_edge); }},
       {"cracks of label rays at vertices", "rays refined in double, from inside at vertices", predicate, 0, "rays",
-       "each has a hit, no farther than the point aimed at by more than 1e-9", [](const StressOptions& o) { return escaped_precise(o.edge_rays / 10, Aim::vertex); }},
-      {"pictures of vertices", "pictures from inside whose pixel centre is a vertex, one after the other", predicate, 0, "pictures",
-       "the vertex's depth, to float rounding, whatever Embree met", pictures_of_vertices},
-      {"pictures of a grid's edges", "pixel centres on the edges and vertices of a grid, level and tipped by half", Oracle::analytic, 1.01 * float_rounding,
-       "", "no hole, and depth is rounded to float once", picture_of_edges},
+       "each has a hit, no farther than the point aimed at by more than 1e-9",
+       [](const StressOptions& o) { return escaped_precise(o.edge_rays / 10, Aim::vertex); }},
+      {"pictures of vertices", "pictures from inside whose pixel centre is a vertex, one after the other", predicate, 0,
+       "pictures", "the vertex's depth, to float rounding, whatever Embree met", pictures_of_vertices},
+      {"pictures of a grid's edges", "pixel centres on the edges and vertices of a grid, level and tipped by half",
+       Oracle::analytic, 1.01 * float_rounding, "", "no hole, and depth is rounded to float once", picture_of_edges},
       {"light through edges", "a closed body under a sun and a sky of 1e6, seen from inside", predicate, 0, "radiance",
        "no light path may pass a closed mesh, at edges or anywhere", leaked_light},
   };

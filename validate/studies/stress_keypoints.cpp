@@ -6,8 +6,8 @@
 namespace moomill {
 namespace {
 
-// A camera at (0, 0, 8) that looks down: x of the picture is +x, y is -y, and a metre at z = 0 is 8 pixels of 64. All of
-// its numbers are powers of two, so that borders are met exactly.
+// A camera at (0, 0, 8) that looks down: x of the picture is +x, y is -y, and a metre at z = 0 is 8 pixels of 64. All
+// of its numbers are powers of two, so that borders are met exactly.
 Camera exact_camera() {
   Camera c;
   c.world_to_camera = dmat3(dvec3(1, 0, 0), dvec3(0, -1, 0), dvec3(0, 0, -1));
@@ -29,9 +29,11 @@ double behind(const StressOptions&) {
   const Accel accel(stage.scene);
   const Camera camera = exact_camera();
   double wrong = 0;
-  for (const dvec3& p : {dvec3(0, 0, 9), dvec3(0, 0, 8), dvec3(1, 2, 8), dvec3(0, 0, 8 + 1e-15), dvec3(1e300, 0, 8), dvec3(0, 0, 1e300)}) {
+  for (const dvec3& p : {dvec3(0, 0, 9), dvec3(0, 0, 8), dvec3(1, 2, 8), dvec3(0, 0, 8 + 1e-15), dvec3(1e300, 0, 8),
+                         dvec3(0, 0, 1e300)}) {
     const KeypointView k = trace_keypoint(stage.scene, accel, camera, 0, {p, 0.02});
-    wrong += k.visibility != Visibility::off_frame || k.cause != HiddenBy::off_frame || !(k.depth <= 0) || !all_finite(k.pixel);
+    wrong += k.visibility != Visibility::off_frame || k.cause != HiddenBy::off_frame || !(k.depth <= 0) ||
+             !all_finite(k.pixel);
   }
   return wrong;
 }
@@ -45,7 +47,8 @@ double camera_plane(const StressOptions&) {
   for (const double z : {1e-9, 1e-15, 0.0})
     for (const double x : {0.0, 1.0, -1e6}) {
       const KeypointView k = trace_keypoint(stage.scene, accel, camera, 0, {{x, 0, 8 - z}, 0.02});
-      wrong += std::isnan(k.pixel.x) || std::isnan(k.pixel.y) || std::isnan(k.margin) || (x != 0 && k.visibility != Visibility::off_frame);
+      wrong += std::isnan(k.pixel.x) || std::isnan(k.pixel.y) || std::isnan(k.margin) ||
+               (x != 0 && k.visibility != Visibility::off_frame);
     }
   return wrong;
 }
@@ -85,8 +88,8 @@ double silhouette(const StressOptions&) {
   return wrong;
 }
 
-// Vertices of a ball at its silhouette, seen from cameras whose ray touches it there: nothing is in front of them, so they are
-// visible at a tolerance that bridges the chord of the faces; and the answer is finite.
+// Vertices of a ball at its silhouette, seen from cameras whose ray touches it there: nothing is in front of them, so
+// they are visible at a tolerance that bridges the chord of the faces; and the answer is finite.
 double tangent(const StressOptions&) {
   Stage stage;
   stage.add(stress_sphere(32, 64, 1));
@@ -136,7 +139,8 @@ double coincident(const StressOptions&) {
   double wrong = 0;
   for (std::size_t v = 0; v < s.rest.size(); v += 3) {
     const dvec3 p(s.rest[v]);
-    const KeypointView a = trace_keypoint(stage.scene, accel, camera, 0, {p, 0.01}), b = trace_keypoint(stage.scene, accel, camera, 0, {p, 0.01}),
+    const KeypointView a = trace_keypoint(stage.scene, accel, camera, 0, {p, 0.01}),
+                       b = trace_keypoint(stage.scene, accel, camera, 0, {p, 0.01}),
                        c = trace_keypoint(stage.scene, accel, camera, 1, {p, 0.01});
     wrong += a.visibility != b.visibility || a.margin != b.margin || a.pixel != b.pixel || a.depth != b.depth;
     wrong += a.margin != c.margin || a.pixel != c.pixel;
@@ -175,7 +179,9 @@ double at_tolerance(const StressOptions&) {
   double wrong = 0;
   // Straight below the camera all numbers are exact: the point lies exactly 0.25 m behind the plate.
   for (const auto& [tolerance, visible] : {std::pair(0.25, true), std::pair(0.2499, false), std::pair(0.2501, true)}) {
-    const KeypointView k = trace_keypoint(stage.scene, accel, camera, 0, {{0.125, 0.0625, 0}, tolerance * std::sqrt(1 + 0.125 * 0.125 / 64 + 0.0625 * 0.0625 / 64)});
+    const KeypointView k =
+        trace_keypoint(stage.scene, accel, camera, 0,
+                       {{0.125, 0.0625, 0}, tolerance * std::sqrt(1 + 0.125 * 0.125 / 64 + 0.0625 * 0.0625 / 64)});
     wrong += (k.visibility == Visibility::visible) != visible;
   }
   return wrong;
@@ -186,7 +192,8 @@ double not_a_number(const StressOptions&) {
   const Accel accel(stage.scene);
   const double nan = std::numeric_limits<double>::quiet_NaN(), infinity = std::numeric_limits<double>::infinity();
   double wrong = 0;
-  for (const dvec3& p : {dvec3(nan), dvec3(nan, 0, 0), dvec3(0, 0, nan), dvec3(infinity, 0, 0), dvec3(0, 0, -infinity), dvec3(1e308, 1e308, -1e308)})
+  for (const dvec3& p : {dvec3(nan), dvec3(nan, 0, 0), dvec3(0, 0, nan), dvec3(infinity, 0, 0), dvec3(0, 0, -infinity),
+                         dvec3(1e308, 1e308, -1e308)})
     wrong += trace_keypoint(stage.scene, accel, exact_camera(), 0, {p, 0.02}).visibility != Visibility::off_frame;
   return wrong;
 }
@@ -196,18 +203,32 @@ double not_a_number(const StressOptions&) {
 std::vector<StressCase> keypoint_stress() {
   constexpr Oracle analytic = Oracle::analytic, predicate = Oracle::exact_predicate;
   return {
-      {"behind the camera", "behind it, in its plane and at its centre", predicate, 0, "keypoints", "each is off the picture, with a depth of 0 or less and finite pixels", behind},
-      {"a hair before the camera's plane", "1e-9 and 1e-15 m before it, up to 1e6 m aside", predicate, 0, "keypoints", "no value is not-a-number, and what is aside is off the picture", camera_plane},
-      {"on the border of the picture", "pixel 0, 64, and 1e-12 beside them, both axes", predicate, 0, "keypoints", "[0, width) is inside: the first border belongs to the picture, the last does not", border},
-      {"exactly on a silhouette", "corners and borders of a plate, no tolerance", predicate, 0, "keypoints", "nothing is in front of them, so each is visible with a margin below 1e-9 m", silhouette},
-      {"touched by a tangent ray", "vertices of a ball that the ray grazes", predicate, 0, "keypoints", "the faces' chord is at most 0.1 m, and the tolerance 0.11 m: each is visible", tangent},
-      {"on the surface, no tolerance", "points of faces towards the camera", predicate, 0, "keypoints", "nothing is in front of them but rounding", [](const StressOptions&) { return on_surface(0); }},
-      {"on the surface, 1e6 m away", "the same, 1e6 m from the origin", predicate, 0, "keypoints", "nothing is in front of them but rounding", [](const StressOptions&) { return on_surface(1e6); }},
-      {"coincident keypoints", "two in one place, and the same place on two coincident animals", predicate, 0, "keypoints", "the same pixel and margin; a surface in the same place hides nothing", coincident},
-      {"margin behind a plate", "0.75 m below a plate, from 50 cameras", analytic, 1e-12, "m", "similar triangles in double, at 10 m: a thousand roundings", [](const StressOptions&) { return margin_error(0); }},
-      {"margin behind a plate, 1e6 m away", "the same, 1e6 m from the origin", analytic, 2e-9, "m", "camera and keypoint are rounded to 1.2e-10 m on each axis there", [](const StressOptions&) { return margin_error(1e6); }},
-      {"at the tolerance", "exactly 0.25 m behind a plate, tolerances around it", predicate, 0, "keypoints", "visible up to the tolerance, hidden beyond", at_tolerance},
-      {"keypoints that are not finite", "not-a-number, infinite, overflowing", predicate, 0, "keypoints", "none of them is seen", not_a_number},
+      {"behind the camera", "behind it, in its plane and at its centre", predicate, 0, "keypoints",
+       "each is off the picture, with a depth of 0 or less and finite pixels", behind},
+      {"a hair before the camera's plane", "1e-9 and 1e-15 m before it, up to 1e6 m aside", predicate, 0, "keypoints",
+       "no value is not-a-number, and what is aside is off the picture", camera_plane},
+      {"on the border of the picture", "pixel 0, 64, and 1e-12 beside them, both axes", predicate, 0, "keypoints",
+       "[0, width) is inside: the first border belongs to the picture, the last does not", border},
+      {"exactly on a silhouette", "corners and borders of a plate, no tolerance", predicate, 0, "keypoints",
+       "nothing is in front of them, so each is visible with a margin below 1e-9 m", silhouette},
+      {"touched by a tangent ray", "vertices of a ball that the ray grazes", predicate, 0, "keypoints",
+       "the faces' chord is at most 0.1 m, and the tolerance 0.11 m: each is visible", tangent},
+      {"on the surface, no tolerance", "points of faces towards the camera", predicate, 0, "keypoints",
+       "nothing is in front of them but rounding", [](const StressOptions&) { return on_surface(0); }},
+      {"on the surface, 1e6 m away", "the same, 1e6 m from the origin", predicate, 0, "keypoints",
+       "nothing is in front of them but rounding", [](const StressOptions&) { return on_surface(1e6); }},
+      {"coincident keypoints", "two in one place, and the same place on two coincident animals", predicate, 0,
+       "keypoints", "the same pixel and margin; a surface in the same place hides nothing", coincident},
+      {"margin behind a plate", "0.75 m below a plate, from 50 cameras", analytic, 1e-12, "m",
+       "similar triangles in double, at 10 m: a thousand roundings",
+       [](const StressOptions&) { return margin_error(0); }},
+      {"margin behind a plate, 1e6 m away", "the same, 1e6 m from the origin", analytic, 2e-9, "m",
+       "camera and keypoint are rounded to 1.2e-10 m on each axis there",
+       [](const StressOptions&) { return margin_error(1e6); }},
+      {"at the tolerance", "exactly 0.25 m behind a plate, tolerances around it", predicate, 0, "keypoints",
+       "visible up to the tolerance, hidden beyond", at_tolerance},
+      {"keypoints that are not finite", "not-a-number, infinite, overflowing", predicate, 0, "keypoints",
+       "none of them is seen", not_a_number},
   };
 }
 

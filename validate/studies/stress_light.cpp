@@ -8,8 +8,12 @@
 namespace moomill {
 namespace {
 
-double relative(double value, double truth) { return std::abs(value / truth - 1); }
-double or_not_finite(const Shaded& r, double error) { return r.not_finite > 0 ? static_cast<double>(r.not_finite) : error; }
+double relative(double value, double truth) {
+  return std::abs(value / truth - 1);
+}
+double or_not_finite(const Shaded& r, double error) {
+  return r.not_finite > 0 ? static_cast<double>(r.not_finite) : error;
+}
 
 // A square well, 1 m wide and `depth` deep, open at the top at z = 0.
 void add_well(Stage& stage, float depth) {
@@ -33,8 +37,9 @@ double furnace_well(float roughness, float metallic, float depth) {
   return or_not_finite(r, relative(r.mean.y, 1));
 }
 
-// The same with Russian roulette from the third bounce on, which survives with 0.8 at most: no bias, no cap. In a white well
-// that sends back more than 0.8 of what enters, as a deep one does, the variance has no bound; so this one is shallow.
+// The same with Russian roulette from the third bounce on, which survives with 0.8 at most: no bias, no cap. In a white
+// well that sends back more than 0.8 of what enters, as a deep one does, the variance has no bound; so this one is
+// shallow.
 double furnace_roulette(const StressOptions&) {
   Stage stage;
   stage.finish(1, 0, vec3(1));
@@ -53,11 +58,16 @@ Stage plate_stage(float roughness, float metallic, const vec3& base) {
   stage.add(stress_plate({-4, -4, 0}, {8, 0, 0}, {0, 8, 0}, 3));
   return stage;
 }
-Camera plate_camera() { return stress_camera({0.8 * 100, 0, plate_cosine * 100}, {0, 0, 0}, 0.2, 8, 8); }
+Camera plate_camera() {
+  return stress_camera({0.8 * 100, 0, plate_cosine * 100}, {0, 0, 0}, 0.2, 8, 8);
+}
 const vec3 plate_wo{0.8f, 0, 0.6f};
 
-// What a plate reflects of a sun in one direction: value of the BSDF by the product (its own cases hold it against formulas).
-double reflected(float roughness, const vec3& base, const vec3& sun) { return Bsdf(roughness, 0, plate_wo).evaluate(sun).at(base.y); }
+// What a plate reflects of a sun in one direction: value of the BSDF by the product (its own cases hold it against
+// formulas).
+double reflected(float roughness, const vec3& base, const vec3& sun) {
+  return Bsdf(roughness, 0, plate_wo).evaluate(sun).at(base.y);
+}
 
 double sun_over_sky(const StressOptions&) {
   Stage stage = plate_stage(0.9f, 0, vec3(0.5f));
@@ -115,7 +125,8 @@ double bright_pixel(const StressOptions&) {
   return or_not_finite(r, relative(r.mean.y, truth));
 }
 
-// The brightest pixel of few samples over the mean, under one bright pixel: nothing but the choice of a place in it varies.
+// The brightest pixel of few samples over the mean, under one bright pixel: nothing but the choice of a place in it
+// varies.
 double fireflies(const StressOptions&) {
   Stage stage = plate_stage(0.5f, 0, vec3(0.5f));
   ImageF map(64, 32, 3, 1e-3f);
@@ -160,7 +171,8 @@ double linear_light(const StressOptions&) {
   for (const float scale : {0x1p60f, 0x1p-60f}) {
     const Shaded other = render(scale);
     worst += static_cast<double>(other.not_finite);
-    for (std::size_t p = 0; p < one.pixels.size(); ++p) worst = std::max(worst, relative(other.pixels[p].y / double(scale), one.pixels[p].y));
+    for (std::size_t p = 0; p < one.pixels.size(); ++p)
+      worst = std::max(worst, relative(other.pixels[p].y / double(scale), one.pixels[p].y));
   }
   return worst;
 }
@@ -194,8 +206,8 @@ double point_sun(float radius) {
   return or_not_finite(r, relative(r.mean.y, 2 * reflected(0.9f, vec3(0.5f), direction)));
 }
 
-// Samples that are not finite, or darker or brighter than the light allows, of rectangles without area, at no distance, and
-// of a hundred metres seen from a micrometre.
+// Samples that are not finite, or darker or brighter than the light allows, of rectangles without area, at no distance,
+// and of a hundred metres seen from a micrometre.
 double odd_rectangles(const StressOptions&) {
   double wrong = 0;
   const RectangleLight odd[] = {{{0, 0, 1}, {0, 0, 0}, {0, 1, 0}, vec3(1)},
@@ -264,7 +276,8 @@ double density_by_direction(const StressOptions&) {
 double refused_maps(const StressOptions&) {
   double taken = 0;
   const float nan = std::numeric_limits<float>::quiet_NaN(), infinity = std::numeric_limits<float>::infinity();
-  for (const auto& [value, strength] : {std::pair(nan, 1.0f), std::pair(infinity, 1.0f), std::pair(-1e-3f, 1.0f), std::pair(1e38f, 1e3f), std::pair(1.0f, nan)}) {
+  for (const auto& [value, strength] : {std::pair(nan, 1.0f), std::pair(infinity, 1.0f), std::pair(-1e-3f, 1.0f),
+                                        std::pair(1e38f, 1e3f), std::pair(1.0f, nan)}) {
     ImageF map(4, 2, 3, 1.0f);
     map.at(2, 1, 1) = value;
     try {
@@ -287,32 +300,56 @@ double refused_maps(const StressOptions&) {
 std::vector<StressCase> light_stress() {
   constexpr Oracle analytic = Oracle::analytic, precise = Oracle::high_precision, predicate = Oracle::exact_predicate;
   return {
-      {"furnace of 100 bounces", "a white well four times as deep as wide, white light, no roulette, at most 100 bounces", analytic, 0.01, "",
-       "what comes in goes out again; the albedo's tables err by up to 1e-3 a bounce, of which there are about ten, 1,024 x 64 samples scatter by less",
+      {"furnace of 100 bounces",
+       "a white well four times as deep as wide, white light, no roulette, at most 100 bounces", analytic, 0.01, "",
+       "what comes in goes out again; the albedo's tables err by up to 1e-3 a bounce, of which there are about ten, "
+       "1,024 x 64 samples scatter by less",
        [](const StressOptions&) { return furnace_well(1, 0, 4); }},
       {"furnace of 100 bounces, metal", "the same of white metal with roughness 0.4", analytic, 0.01, "", "as above",
        [](const StressOptions&) { return furnace_well(0.4f, 1, 4); }},
       {"furnace of rough metal", "a well a quarter as deep as wide of white metal with roughness 1", analytic, 0.01, "",
-       "as above; not deeper, for many samples of so rough a metal point below its surface and carry nothing, so the spread grows with every bounce (2 % at three quarters)",
+       "as above; not deeper, for many samples of so rough a metal point below its surface and carry nothing, so the "
+       "spread grows with every bounce (2 % at three quarters)",
        [](const StressOptions&) { return furnace_well(1, 1, 0.25f); }},
       {"furnace of 100 bounces, mirror", "the same of white metal with roughness 0", analytic, 0.01, "", "as above",
        [](const StressOptions&) { return furnace_well(0, 1, 4); }},
-      {"furnace by roulette", "a white well three quarters as deep as wide, Russian roulette and no cap", analytic, 0.01, "", "unbiased: 262,144 samples scatter by about 0.3 %, and as above", furnace_roulette},
-      {"sun of 1e6 by sky of 1e-3", "a plate under both", analytic, 0.005, "", "E f for the sun's centre: its disc of 0.3 degrees changes f by less than 0.5 %", sun_over_sky},
-      {"sun of 1e6 behind a roof", "a plate whose sun is hidden, sky of 1e-3", predicate, 0, "pixels", "a hidden light adds nothing, so the picture is the same to the last bit", hidden_sun},
-      {"map with one bright pixel", "1e7 in a sky of 1e-3, 64 x 32", precise, 0.005, "", "65,536 samples drawn within the pixel: its own f varies by a few percent, so the mean scatters by 1e-4; 0.5 % covers the oracle's 8 x 8 points a pixel", bright_pixel},
-      {"fireflies", "brightest pixel over mean, 4 samples a pixel, that map", analytic, 2, "times", "density is proportional to radiance, so only f varies, within a pixel of 5.6 degrees", fireflies},
-      {"black environment", "no light at all", predicate, 0, "radiance", "nothing is reflected: exactly 0 everywhere", [](const StressOptions&) { return black(false); }},
-      {"black map", "a map whose every pixel is 0", predicate, 0, "radiance", "nothing is reflected: exactly 0 everywhere", [](const StressOptions&) { return black(true); }},
-      {"light of 2^60 and 2^-60", "sky, sun and rectangle scaled together", analytic, 1e-5, "", "radiance is linear in light; powers of two cost no digit, and 1e-5 covers the chances' rounding", linear_light},
-      {"suns from 1e-4 to 0.7 radians", "irradiance from 4,096 samples", analytic, 1e-3, "", "L cos / density integrates to E; 4,096 low-discrepancy samples err by less than 1e-3", sun_irradiance},
-      {"sun without diameter", "angular radius 0, on a plate", analytic, 0.005, "", "a sun of no size has its irradiance all the same: E f", [](const StressOptions&) { return point_sun(0); }},
-      {"sun of 1e-6 radians", "narrower than float directions resolve", analytic, 0.005, "", "E f", [](const StressOptions&) { return point_sun(1e-6f); }},
-      {"odd rectangles", "without area, of 1e-20 m, at no distance, 100 m wide 1e-6 m away", predicate, 0, "values", "every value is finite, and no more comes back than the light sends", odd_rectangles},
-      {"rectangle 1 mm above a white plate", "all a plate sees is light", analytic, 0.01, "", "a furnace: the plate is as bright as the light, less 0.1 % at its rim; 0.5 % for the tables, 0.4 % for 65,536 samples", near_rectangle},
-      {"sun 0.1 degrees above a plane", "a tipped plane of 1 km with 7,442 faces", predicate, 0, "pixels", "a flat surface never shades itself: no pixel is darker than half the mean", grazing_sun},
-      {"density of a map by direction", "100,000 draws from a map of 1024 x 512", precise, 2e-3, "of draws", "a direction is rounded to 6e-8 of a turn, 1e-4 of a pixel; draws so near a pixel's border are 4e-4 of all", density_by_direction},
-      {"maps that cannot be used", "not-a-number, infinite, negative, overflowing with its strength, empty, grey", predicate, 0, "maps", "each is refused with a sentence that names the file", refused_maps},
+      {"furnace by roulette", "a white well three quarters as deep as wide, Russian roulette and no cap", analytic,
+       0.01, "", "unbiased: 262,144 samples scatter by about 0.3 %, and as above", furnace_roulette},
+      {"sun of 1e6 by sky of 1e-3", "a plate under both", analytic, 0.005, "",
+       "E f for the sun's centre: its disc of 0.3 degrees changes f by less than 0.5 %", sun_over_sky},
+      {"sun of 1e6 behind a roof", "a plate whose sun is hidden, sky of 1e-3", predicate, 0, "pixels",
+       "a hidden light adds nothing, so the picture is the same to the last bit", hidden_sun},
+      {"map with one bright pixel", "1e7 in a sky of 1e-3, 64 x 32", precise, 0.005, "",
+       "65,536 samples drawn within the pixel: its own f varies by a few percent, so the mean scatters by 1e-4; 0.5 % "
+       "covers the oracle's 8 x 8 points a pixel",
+       bright_pixel},
+      {"fireflies", "brightest pixel over mean, 4 samples a pixel, that map", analytic, 2, "times",
+       "density is proportional to radiance, so only f varies, within a pixel of 5.6 degrees", fireflies},
+      {"black environment", "no light at all", predicate, 0, "radiance", "nothing is reflected: exactly 0 everywhere",
+       [](const StressOptions&) { return black(false); }},
+      {"black map", "a map whose every pixel is 0", predicate, 0, "radiance",
+       "nothing is reflected: exactly 0 everywhere", [](const StressOptions&) { return black(true); }},
+      {"light of 2^60 and 2^-60", "sky, sun and rectangle scaled together", analytic, 1e-5, "",
+       "radiance is linear in light; powers of two cost no digit, and 1e-5 covers the chances' rounding", linear_light},
+      {"suns from 1e-4 to 0.7 radians", "irradiance from 4,096 samples", analytic, 1e-3, "",
+       "L cos / density integrates to E; 4,096 low-discrepancy samples err by less than 1e-3", sun_irradiance},
+      {"sun without diameter", "angular radius 0, on a plate", analytic, 0.005, "",
+       "a sun of no size has its irradiance all the same: E f", [](const StressOptions&) { return point_sun(0); }},
+      {"sun of 1e-6 radians", "narrower than float directions resolve", analytic, 0.005, "", "E f",
+       [](const StressOptions&) { return point_sun(1e-6f); }},
+      {"odd rectangles", "without area, of 1e-20 m, at no distance, 100 m wide 1e-6 m away", predicate, 0, "values",
+       "every value is finite, and no more comes back than the light sends", odd_rectangles},
+      {"rectangle 1 mm above a white plate", "all a plate sees is light", analytic, 0.01, "",
+       "a furnace: the plate is as bright as the light, less 0.1 % at its rim; 0.5 % for the tables, 0.4 % for 65,536 "
+       "samples",
+       near_rectangle},
+      {"sun 0.1 degrees above a plane", "a tipped plane of 1 km with 7,442 faces", predicate, 0, "pixels",
+       "a flat surface never shades itself: no pixel is darker than half the mean", grazing_sun},
+      {"density of a map by direction", "100,000 draws from a map of 1024 x 512", precise, 2e-3, "of draws",
+       "a direction is rounded to 6e-8 of a turn, 1e-4 of a pixel; draws so near a pixel's border are 4e-4 of all",
+       density_by_direction},
+      {"maps that cannot be used", "not-a-number, infinite, negative, overflowing with its strength, empty, grey",
+       predicate, 0, "maps", "each is refused with a sentence that names the file", refused_maps},
   };
 }
 

@@ -1,4 +1,5 @@
-// Stress cases of sampling: the first, the millionth and the last sample, the last dimension, and random numbers at both ends.
+// Stress cases of sampling: the first, the millionth and the last sample, the last dimension, and random numbers at
+// both ends.
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
 #include "generator/core/random.h"
@@ -13,8 +14,12 @@ namespace {
 
 constexpr float below_one = 0x1.fffffep-1f;  // the largest float below 1
 
-bool in_unit(const vec2& u) { return u.x >= 0 && u.x < 1 && u.y >= 0 && u.y < 1; }
-bool is_unit(const vec3& d, double slack = 1e-5) { return std::abs(glm::length(dvec3(d)) - 1) <= slack; }
+bool in_unit(const vec2& u) {
+  return u.x >= 0 && u.x < 1 && u.y >= 0 && u.y < 1;
+}
+bool is_unit(const vec3& d, double slack = 1e-5) {
+  return std::abs(glm::length(dvec3(d)) - 1) <= slack;
+}
 
 // The first sample of every pixel of a 1024 x 768 picture, in cells of 1/16 by 1/16 and against each other: the largest
 // departure of chi-squared from its mean, in standard deviations.
@@ -36,7 +41,8 @@ double first_samples(const StressOptions&) {
   return worst;
 }
 
-// 2^20 samples of a pixel: every interval of 2^-20 of either axis, and every cell of 2^-10 by 2^-10, must hold exactly one.
+// 2^20 samples of a pixel: every interval of 2^-20 of either axis, and every cell of 2^-10 by 2^-10, must hold exactly
+// one.
 double million_samples(const StressOptions&) {
   constexpr int n = 1 << 20;
   double wrong = 0;
@@ -88,7 +94,8 @@ double far_dimensions(const StressOptions&) {
   return worst;
 }
 
-// Everything that is drawn from two numbers, at both ends of both: values that are not finite, not unit, or without density.
+// Everything that is drawn from two numbers, at both ends of both: values that are not finite, not unit, or without
+// density.
 double corners(const std::function<bool(const vec2&, float)>& sound) {
   double wrong = 0;
   for (const float x : {0.0f, 0x1p-24f, 0.5f, below_one})
@@ -113,7 +120,8 @@ double corners_of_bsdf(const StressOptions&) {
             continue;
           }
           const BaseResponse f = bsdf.evaluate(s.wi);
-          sound = sound && is_unit(s.wi) && std::isfinite(s.pdf) && std::isfinite(f.white()) && f.a >= 0 && f.b >= 0 && f.white() / s.pdf < 1e3f;
+          sound = sound && is_unit(s.wi) && std::isfinite(s.pdf) && std::isfinite(f.white()) && f.a >= 0 && f.b >= 0 &&
+                  f.white() / s.pdf < 1e3f;
         }
       }
     return sound;
@@ -123,7 +131,8 @@ double corners_of_bsdf(const StressOptions&) {
 double corners_of_lights(const StressOptions&) {
   ImageF map(16, 8, 3, 0.2f);
   for (int x = 0; x < 16; ++x)
-    for (int c = 0; c < 3; ++c) map.at(x, 0, c) = map.at(x, 7, c) = map.at(x == 0 ? 15 : 0, 3, c) = 0;  // black at all borders
+    for (int c = 0; c < 3; ++c)
+      map.at(x, 0, c) = map.at(x, 7, c) = map.at(x == 0 ? 15 : 0, 3, c) = 0;  // black at all borders
   const Environment environment(map, "map", 1, 0.7), pixel(ImageF(1, 1, 3, 1.0f), "pixel", 1, 0);
   RectangleLight rectangle;
   rectangle.corner = {-1, -1, -2};
@@ -134,14 +143,15 @@ double corners_of_lights(const StressOptions&) {
   all.prepare(vec3(0));
   return corners([&](const vec2& u, float xi) {
     const auto drawn = [](const LightSample& s, bool may_fail) {
-      return std::isfinite(s.pdf) && is_unit(s.direction) && all_finite(s.radiance) && (may_fail ? s.pdf >= 0 : s.pdf > 0);
+      return std::isfinite(s.pdf) && is_unit(s.direction) && all_finite(s.radiance) &&
+             (may_fail ? s.pdf >= 0 : s.pdf > 0);
     };
     Sun wide, narrow;
     wide.angular_radius = 1.5f;
     narrow.angular_radius = 1e-4f;
-    return drawn(environment.sample(u), false) && luminance(environment.sample(u).radiance) > 0 && drawn(pixel.sample(u), false) &&
-           drawn(wide.sample(u), false) && drawn(narrow.sample(u), false) && drawn(rectangle.sample(vec3(0), u), true) &&
-           drawn(all.sample(vec3(0), xi, u), true);
+    return drawn(environment.sample(u), false) && luminance(environment.sample(u).radiance) > 0 &&
+           drawn(pixel.sample(u), false) && drawn(wide.sample(u), false) && drawn(narrow.sample(u), false) &&
+           drawn(rectangle.sample(vec3(0), u), true) && drawn(all.sample(vec3(0), xi, u), true);
   });
 }
 
@@ -151,10 +161,12 @@ double corners_of_filter_and_texture(const StressOptions&) {
   mirror.wrap_u = mirror.wrap_v = Wrap::mirror;
   clamp.wrap_u = clamp.wrap_v = Wrap::clamp;
   return corners([&](const vec2& u, float) {
-    bool sound = std::abs(filter.sample(u.x)) <= 1.5f && filter.sample(u.x) <= filter.sample(std::min(below_one, u.x + 0.01f));
+    bool sound =
+        std::abs(filter.sample(u.x)) <= 1.5f && filter.sample(u.x) <= filter.sample(std::min(below_one, u.x + 0.01f));
     for (const TexturePlacement& p : {repeat, mirror, clamp})
-      for (const vec2& uv : {vec2(0), vec2(1), vec2(-1e-9f), vec2(1e30f), vec2(-1e30f), vec2(std::numeric_limits<float>::infinity()),
-                             vec2(std::numeric_limits<float>::quiet_NaN()), vec2(0.5f, 3e7f)}) {
+      for (const vec2& uv :
+           {vec2(0), vec2(1), vec2(-1e-9f), vec2(1e30f), vec2(-1e30f), vec2(std::numeric_limits<float>::infinity()),
+            vec2(std::numeric_limits<float>::quiet_NaN()), vec2(0.5f, 3e7f)}) {
         const glm::ivec2 t = choose_texel(p, 7, 5, uv, u);
         sound = sound && t.x >= 0 && t.x < 7 && t.y >= 0 && t.y < 5;
       }
@@ -164,9 +176,11 @@ double corners_of_filter_and_texture(const StressOptions&) {
 
 double ends_of_numbers(const StressOptions&) {
   double wrong = 0;
-  for (const std::uint64_t bits : {std::uint64_t{0}, std::uint64_t{1}, ~std::uint64_t{0}, ~std::uint64_t{0} << 11, std::uint64_t{1} << 63})
+  for (const std::uint64_t bits :
+       {std::uint64_t{0}, std::uint64_t{1}, ~std::uint64_t{0}, ~std::uint64_t{0} << 11, std::uint64_t{1} << 63})
     wrong += !(to_unit(bits) >= 0 && to_unit(bits) < 1) || !std::isfinite(to_normal(bits));
-  for (const std::uint32_t bits : {0u, 255u, 0xffffffffu, 0xffffff00u}) wrong += !(unit_float(bits) >= 0 && unit_float(bits) < 1);
+  for (const std::uint32_t bits : {0u, 255u, 0xffffffffu, 0xffffff00u})
+    wrong += !(unit_float(bits) >= 0 && unit_float(bits) < 1);
   wrong += to_unit(~std::uint64_t{0}) != 1 - 0x1p-53 || unit_float(0xffffffffu) != below_one;
   return wrong;
 }
@@ -177,10 +191,13 @@ double portable_functions(const StressOptions&) {
     const double x = std::pow(10.0, i / 10.0);
     const long double truth = std::log(static_cast<long double>(x));
     // Near 1 the logarithm vanishes: relative to the larger of it and x - 1's own rounding.
-    worst = std::max(worst, static_cast<double>(std::abs(portable_log(x) - truth) / std::max<long double>(std::abs(truth), 1e-3L)));
+    worst = std::max(
+        worst, static_cast<double>(std::abs(portable_log(x) - truth) / std::max<long double>(std::abs(truth), 1e-3L)));
     const double y = 0.23 * i;
     const long double e = std::exp(static_cast<long double>(y));
-    if (y > -700 && y < 709) worst = std::max(worst, static_cast<double>(std::abs(portable_exp(y) / e - 1) / std::max(1.0L, std::abs(static_cast<long double>(y)))));
+    if (y > -700 && y < 709)
+      worst = std::max(worst, static_cast<double>(std::abs(portable_exp(y) / e - 1) /
+                                                  std::max(1.0L, std::abs(static_cast<long double>(y)))));
   }
   return worst;
 }
@@ -219,24 +236,33 @@ double samples_apart(const StressOptions&) {
 std::vector<StressCase> sampling_stress() {
   constexpr Oracle analytic = Oracle::analytic, precise = Oracle::high_precision, predicate = Oracle::exact_predicate;
   return {
-      {"first sample of every pixel", "786,432 pixels, dimensions of the filter and of bounces 1 and 100, in 256 cells", analytic, 5, "sigma",
+      {"first sample of every pixel", "786,432 pixels, dimensions of the filter and of bounces 1 and 100, in 256 cells",
+       analytic, 5, "sigma",
        "chi-squared of uniform numbers scatters by sqrt(2 x 255); beyond 5 sigma lies 1 in a million", first_samples},
-      {"millionth sample", "2^20 samples of a pixel: intervals of 2^-20 and cells of 2^-10 by 2^-10", predicate, 0, "cells",
-       "a (0, 2)-net in base 2 has exactly one sample in each", million_samples},
-      {"last samples and last dimensions", "sample 2^32 - 1, dimension pair 2^32 - 1, pixel 2^64 - 1: 64 samples each", predicate, 0, "cells",
-       "aligned blocks of a (0, 2)-sequence are nets anywhere in it", last_indices},
-      {"dimensions of bounce 100", "correlated with those of the first bounce over 200,000 pixels", analytic, 5, "sigma",
-       "the product of two centred uniform numbers has variance 1 / 144; beyond 5 sigma lies 1 in a million", far_dimensions},
-      {"samples asked for out of order", "sample 1,000,000 alone, and after a hundred others", predicate, 0, "samples", "a sample is a function of its identity", samples_apart},
-      {"all numbers 0 or the largest below 1: BSDF", "5 roughnesses, 6 angles down to 1e-30, 3 metalnesses", predicate, 0, "corners",
-       "directions are unit and above the surface, densities positive or 0, values finite", corners_of_bsdf},
-      {"all numbers 0 or the largest below 1: lights", "maps with black borders, of one pixel, suns of 1e-4 to 1.5 rad, rectangles, the choice of a light", predicate, 0, "corners",
-       "directions are unit, densities finite, and no black pixel of a map is drawn", corners_of_lights},
-      {"all numbers 0 or the largest below 1: filter and textures", "also at UVs of 1e30, infinity and not-a-number", predicate, 0, "corners",
-       "the filter stays within its radius and monotone, texels within the image", corners_of_filter_and_texture},
-      {"bits at both ends", "all bits 0, all 1, one at either end", predicate, 0, "numbers", "numbers lie in [0, 1), the largest is 1 - 2^-53 or 1 - 2^-24", ends_of_numbers},
-      {"logarithm and exponential", "6,001 numbers from 1e-300 to 1e300", precise, 2e-15, "", "stated as about 1e-15: the last bits of a sum of two parts", portable_functions},
-      {"collisions of identities", "2,000,009 tuples of frame, camera and pixel", predicate, 0, "collisions", "of 64-bit hashes 1e-7 are expected", collisions},
+      {"millionth sample", "2^20 samples of a pixel: intervals of 2^-20 and cells of 2^-10 by 2^-10", predicate, 0,
+       "cells", "a (0, 2)-net in base 2 has exactly one sample in each", million_samples},
+      {"last samples and last dimensions", "sample 2^32 - 1, dimension pair 2^32 - 1, pixel 2^64 - 1: 64 samples each",
+       predicate, 0, "cells", "aligned blocks of a (0, 2)-sequence are nets anywhere in it", last_indices},
+      {"dimensions of bounce 100", "correlated with those of the first bounce over 200,000 pixels", analytic, 5,
+       "sigma", "the product of two centred uniform numbers has variance 1 / 144; beyond 5 sigma lies 1 in a million",
+       far_dimensions},
+      {"samples asked for out of order", "sample 1,000,000 alone, and after a hundred others", predicate, 0, "samples",
+       "a sample is a function of its identity", samples_apart},
+      {"all numbers 0 or the largest below 1: BSDF", "5 roughnesses, 6 angles down to 1e-30, 3 metalnesses", predicate,
+       0, "corners", "directions are unit and above the surface, densities positive or 0, values finite",
+       corners_of_bsdf},
+      {"all numbers 0 or the largest below 1: lights",
+       "maps with black borders, of one pixel, suns of 1e-4 to 1.5 rad, rectangles, the choice of a light", predicate,
+       0, "corners", "directions are unit, densities finite, and no black pixel of a map is drawn", corners_of_lights},
+      {"all numbers 0 or the largest below 1: filter and textures", "also at UVs of 1e30, infinity and not-a-number",
+       predicate, 0, "corners", "the filter stays within its radius and monotone, texels within the image",
+       corners_of_filter_and_texture},
+      {"bits at both ends", "all bits 0, all 1, one at either end", predicate, 0, "numbers",
+       "numbers lie in [0, 1), the largest is 1 - 2^-53 or 1 - 2^-24", ends_of_numbers},
+      {"logarithm and exponential", "6,001 numbers from 1e-300 to 1e300", precise, 2e-15, "",
+       "stated as about 1e-15: the last bits of a sum of two parts", portable_functions},
+      {"collisions of identities", "2,000,009 tuples of frame, camera and pixel", predicate, 0, "collisions",
+       "of 64-bit hashes 1e-7 are expected", collisions},
   };
 }
 

@@ -29,7 +29,8 @@ Surface stress_sphere(int rows, int columns, double radius, int bumps) {
     for (int j = 0; j < columns; ++j) {
       const double theta = pi * i / rows, phi = 2 * pi * j / columns;
       const double r = radius * (bumps > 0 ? 1 + 0.1 * std::sin(bumps * theta) * std::cos(bumps * phi) : 1.0);
-      s.rest.push_back(vec3(r * std::sin(theta) * std::cos(phi), r * std::sin(theta) * std::sin(phi), r * std::cos(theta)));
+      s.rest.push_back(
+          vec3(r * std::sin(theta) * std::cos(phi), r * std::sin(theta) * std::sin(phi), r * std::cos(theta)));
     }
   for (int i = 0; i < rows; ++i)
     for (int j = 0; j < columns; ++j) {
@@ -115,7 +116,9 @@ int Stage::finish(float roughness, float metallic, const vec3& base) {
   return static_cast<int>(a->materials.size()) - 1;
 }
 
-Material& Stage::material(int index) { return own_appearance()->materials[index]; }
+Material& Stage::material(int index) {
+  return own_appearance()->materials[index];
+}
 
 int Stage::texture(Image8 image) {
   const auto a = own_appearance();
@@ -123,7 +126,9 @@ int Stage::texture(Image8 image) {
   return static_cast<int>(a->textures.size()) - 1;
 }
 
-void Stage::environment(const vec3& radiance) { lights.environment = std::make_shared<Environment>(radiance); }
+void Stage::environment(const vec3& radiance) {
+  lights.environment = std::make_shared<Environment>(radiance);
+}
 
 Shaded shade(const Stage& stage, const Camera& camera, const PathOptions& options) {
   Lights lights = stage.lights;
@@ -155,7 +160,8 @@ using Vec3 = glm::vec<3, T>;
 
 // Distance and barycentrics of a ray on the plane of a triangle, by determinants.
 template <class T>
-bool cramer(const Vec3<T>& o, const Vec3<T>& d, const Vec3<T>& a, const Vec3<T>& b, const Vec3<T>& c, T& t, T& u, T& v) {
+bool cramer(const Vec3<T>& o, const Vec3<T>& d, const Vec3<T>& a, const Vec3<T>& b, const Vec3<T>& c, T& t, T& u,
+            T& v) {
   const auto det = [](const Vec3<T>& p, const Vec3<T>& q, const Vec3<T>& r) { return glm::dot(p, glm::cross(q, r)); };
   const Vec3<T> ab = a - b, ac = a - c, ao = a - o;
   const T whole = det(ab, ac, d);

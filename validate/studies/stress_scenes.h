@@ -12,7 +12,8 @@
 
 namespace moomill {
 
-// A latitude-longitude sphere, closed: no vertex is split. bumps > 0 dents it by so many waves of a tenth of its radius.
+// A latitude-longitude sphere, closed: no vertex is split. bumps > 0 dents it by so many waves of a tenth of its
+// radius.
 Surface stress_sphere(int rows, int columns, double radius, int bumps = 0);
 // A parallelogram cut into n x n cells; its normal is cross(u, v).
 Surface stress_plate(const vec3& corner, const vec3& u, const vec3& v, int n = 1);
@@ -57,8 +58,8 @@ struct OracleHit {
 };
 OracleHit oracle_hit(const Scene& scene, const Camera& camera, double x, double y);
 
-// Largest relative error of the depth over all pixels of the camera, plus 1 for every pixel that is hit where the oracle
-// has none or the other way round, or that is not finite.
+// Largest relative error of the depth over all pixels of the camera, plus 1 for every pixel that is hit where the
+// oracle has none or the other way round, or that is not finite.
 double depth_error(const Scene& scene, const Camera& camera, BuildKind kind = BuildKind::rebuild);
 
 inline constexpr double float_rounding = 0x1p-24;  // half a unit in the last place, relative

@@ -38,10 +38,12 @@ double constant_data(const StressOptions&) {
 
 double offset_data(double offset) {
   std::vector<double> data;
-  for (int i = 0; i < 100'000; ++i) data.push_back(offset + to_normal(hash_identity({1, static_cast<std::uint64_t>(i)})));
+  for (int i = 0; i < 100'000; ++i)
+    data.push_back(offset + to_normal(hash_identity({1, static_cast<std::uint64_t>(i)})));
   const Truth truth(data);
   const Moments m = moments_of(data);
-  return std::max(static_cast<double>(std::abs(m.variance() / truth.variance - 1)), static_cast<double>(std::abs(m.mean() / truth.mean - 1)));
+  return std::max(static_cast<double>(std::abs(m.variance() / truth.variance - 1)),
+                  static_cast<double>(std::abs(m.mean() / truth.mean - 1)));
 }
 
 // Data near the largest double: the mean must survive, and a variance that no double holds be refused.
@@ -67,7 +69,8 @@ double tiny_data(const StressOptions&) {
 
 double not_finite_data(const StressOptions&) {
   double taken = 0;
-  for (const double x : {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity(), -std::numeric_limits<double>::infinity()}) {
+  for (const double x : {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity(),
+                         -std::numeric_limits<double>::infinity()}) {
     Moments m;
     try {
       m.add(x);
@@ -116,21 +119,31 @@ double long_mean(int samples) {
 std::vector<StressCase> statistics_stress() {
   constexpr Oracle analytic = Oracle::analytic, precise = Oracle::high_precision, predicate = Oracle::exact_predicate;
   return {
-      {"variance of constant data", "a million times 0.1", predicate, 0, "", "no difference ever arises, so mean and variance are exact", constant_data},
+      {"variance of constant data", "a million times 0.1", predicate, 0, "",
+       "no difference ever arises, so mean and variance are exact", constant_data},
       {"variance at an offset of 1e9", "100,000 normal numbers around 1e9", precise, 1e-12, "",
-       "differences from the first value are exact, so the offset costs nothing; the sum of 100,000 squares errs by some 1e-14",
+       "differences from the first value are exact, so the offset costs nothing; the sum of 100,000 squares errs by "
+       "some 1e-14",
        [](const StressOptions&) { return offset_data(1e9); }},
-      {"variance at an offset of 1e15", "100,000 normal numbers around 1e15, themselves rounded to eighths", precise, 1e-12, "",
-       "as above", [](const StressOptions&) { return offset_data(1e15); }},
+      {"variance at an offset of 1e15", "100,000 normal numbers around 1e15, themselves rounded to eighths", precise,
+       1e-12, "", "as above", [](const StressOptions&) { return offset_data(1e15); }},
       {"overflowing data", "1,000 numbers at the ends of what a double holds", analytic, 1e-12, "",
        "mean and deviation are doubles and right to rounding; the variance is not one and is refused", overflowing},
-      {"vanishing data", "1,000 numbers near 1e-200, whose squares vanish", analytic, 1e-12, "", "mean and deviation are right to rounding", tiny_data},
-      {"data that is not finite", "not-a-number, both infinities, and no data at all", predicate, 0, "inputs", "each is refused with a sentence", not_finite_data},
-      {"merged in uneven parts", "100,000 numbers around 1e9, in parts of 1, 3, 7, 15, ...", precise, 1e-12, "", "as in one go", merged},
-      {"mean of 65,536 samples", "a background of 0.1, 0.3 and 1e-3 in the path tracer's mean", analytic, 4 * float_rounding, "",
-       "the samples are equal: the compensated sum, the share of one sample and their product are rounded, the constant was before", [](const StressOptions&) { return long_mean(1 << 16); }},
+      {"vanishing data", "1,000 numbers near 1e-200, whose squares vanish", analytic, 1e-12, "",
+       "mean and deviation are right to rounding", tiny_data},
+      {"data that is not finite", "not-a-number, both infinities, and no data at all", predicate, 0, "inputs",
+       "each is refused with a sentence", not_finite_data},
+      {"merged in uneven parts", "100,000 numbers around 1e9, in parts of 1, 3, 7, 15, ...", precise, 1e-12, "",
+       "as in one go", merged},
+      {"mean of 65,536 samples", "a background of 0.1, 0.3 and 1e-3 in the path tracer's mean", analytic,
+       4 * float_rounding, "",
+       "the samples are equal: the compensated sum, the share of one sample and their product are rounded, the "
+       "constant was before",
+       [](const StressOptions&) { return long_mean(1 << 16); }},
       {"mean of a million samples", "the same with 1,000,000 samples", analytic, 4 * float_rounding, "",
-       "the samples are equal: the compensated sum, the share of one sample and their product are rounded, the constant was before", [](const StressOptions&) { return long_mean(1'000'000); }},
+       "the samples are equal: the compensated sum, the share of one sample and their product are rounded, the "
+       "constant was before",
+       [](const StressOptions&) { return long_mean(1'000'000); }},
   };
 }
 

@@ -7,7 +7,9 @@
 namespace moomill {
 namespace {
 
-vec3 towards(float cosine) { return {std::sqrt(1 - cosine * cosine), 0, cosine}; }
+vec3 towards(float cosine) {
+  return {std::sqrt(1 - cosine * cosine), 0, cosine};
+}
 
 // Departure from 1 of what a white surface reflects of white light, over angles and metalness.
 double white_furnace(float roughness) {
@@ -36,7 +38,9 @@ double fresnel(double c) {
 double lobe(const dvec3& wo, const dvec3& wi, double alpha) {
   const dvec3 h = glm::normalize(wo + wi);
   const double a2 = alpha * alpha, q = h.x * h.x + h.y * h.y + a2 * h.z * h.z;
-  const auto lambda = [&](const dvec3& w) { return 0.5 * (std::sqrt(1 + a2 * (w.x * w.x + w.y * w.y) / (w.z * w.z)) - 1); };
+  const auto lambda = [&](const dvec3& w) {
+    return 0.5 * (std::sqrt(1 + a2 * (w.x * w.x + w.y * w.y) / (w.z * w.z)) - 1);
+  };
   return a2 / (pi * q * q) / (1 + lambda(wo) + lambda(wi)) * fresnel(glm::dot(wo, h)) / (4 * wo.z);
 }
 
@@ -111,20 +115,24 @@ double grazing_directions(const StressOptions&) {
   double wrong = 0;
   for (int i = 0; i < 200'000; ++i) {
     const vec2 a = PixelSampler(6, 6).get(0, i), b = PixelSampler(6, 6).get(1, i), c = PixelSampler(6, 6).get(2, i);
-    const float zo = std::pow(10.0f, -38 * a.x), zi = std::pow(10.0f, -38 * a.y), phi = 2 * static_cast<float>(pi) * b.x;
-    const vec3 wo(std::sqrt(1 - zo * zo), 0, zo), wi(std::sqrt(1 - zi * zi) * std::cos(phi), std::sqrt(1 - zi * zi) * std::sin(phi), zi);
+    const float zo = std::pow(10.0f, -38 * a.x), zi = std::pow(10.0f, -38 * a.y),
+                phi = 2 * static_cast<float>(pi) * b.x;
+    const vec3 wo(std::sqrt(1 - zo * zo), 0, zo),
+        wi(std::sqrt(1 - zi * zi) * std::cos(phi), std::sqrt(1 - zi * zi) * std::sin(phi), zi);
     const float roughness = c.x < 0.2f ? 0.0f : c.x < 0.4f ? 1e-4f : c.x;
     const Bsdf bsdf(roughness, i % 3 * 0.5f, wo);
     const BaseResponse f = bsdf.evaluate(wi);
     const float pdf = bsdf.pdf(wi);
-    wrong += !std::isfinite(f.white()) || !(f.a >= 0) || !(f.b >= 0) || !(f.c >= 0) || !std::isfinite(pdf) || !(pdf >= 0);
+    wrong +=
+        !std::isfinite(f.white()) || !(f.a >= 0) || !(f.b >= 0) || !(f.c >= 0) || !std::isfinite(pdf) || !(pdf >= 0);
   }
   return wrong;
 }
 
 // Balancing heuristics at both ends of floats: values outside [0, 1].
 double heuristic(const StressOptions&) {
-  const float most = std::numeric_limits<float>::max(), least = std::numeric_limits<float>::min(), infinity = std::numeric_limits<float>::infinity();
+  const float most = std::numeric_limits<float>::max(), least = std::numeric_limits<float>::min(),
+              infinity = std::numeric_limits<float>::infinity();
   double wrong = 0;
   for (const float a : {0.0f, least, 1e-20f, 1.0f, 1e20f, most})
     for (const float b : {0.0f, least, 1e-20f, 1.0f, 1e20f, most, infinity}) {
@@ -157,13 +165,19 @@ double normal_map(const std::array<std::uint8_t, 3>& texel, float scale, float r
 double normal_maps(float roughness, float metallic) {
   double worst = 0;
   for (const float scale : {1.0f, 1000.0f, -1.0f})
-    for (const std::array<std::uint8_t, 3>& texel : {std::array<std::uint8_t, 3>{255, 128, 128}, {0, 128, 128}, {128, 255, 130}, {128, 128, 0}, {0, 0, 0}, {255, 255, 255}, {128, 128, 128}})
+    for (const std::array<std::uint8_t, 3>& texel : {std::array<std::uint8_t, 3>{255, 128, 128},
+                                                     {0, 128, 128},
+                                                     {128, 255, 130},
+                                                     {128, 128, 0},
+                                                     {0, 0, 0},
+                                                     {255, 255, 255},
+                                                     {128, 128, 128}})
       worst = std::max(worst, normal_map(texel, scale, roughness, metallic));
   return worst;
 }
 
-// A ball with smooth normals of few faces, seen and lit at grazing angles: samples that are not finite, negative radiance, or more
-// than a furnace gives.
+// A ball with smooth normals of few faces, seen and lit at grazing angles: samples that are not finite, negative
+// radiance, or more than a furnace gives.
 double coarse_ball(const StressOptions&) {
   Surface ball = stress_sphere(6, 8, 1);
   for (std::size_t v = 0; v < ball.rest.size(); ++v) ball.normals[v] = glm::normalize(ball.rest[v]);
@@ -208,23 +222,41 @@ std::vector<StressCase> surface_light_stress() {
   constexpr Oracle analytic = Oracle::analytic, precise = Oracle::high_precision, predicate = Oracle::exact_predicate;
   const char* const tables = "the albedo's tables have 64 x 65 entries and hold to 0.5 %";
   return {
-      {"white furnace at roughness 0", "a white BSDF, 5 angles down to 1 degree, 3 metalnesses", analytic, 0.005, "", tables, [](const StressOptions&) { return white_furnace(0); }},
-      {"white furnace at roughness 1e-4", "the same", analytic, 0.005, "", tables, [](const StressOptions&) { return white_furnace(1e-4f); }},
-      {"white furnace at roughness 1", "the same", analytic, 0.005, "", tables, [](const StressOptions&) { return white_furnace(1); }},
+      {"white furnace at roughness 0", "a white BSDF, 5 angles down to 1 degree, 3 metalnesses", analytic, 0.005, "",
+       tables, [](const StressOptions&) { return white_furnace(0); }},
+      {"white furnace at roughness 1e-4", "the same", analytic, 0.005, "", tables,
+       [](const StressOptions&) { return white_furnace(1e-4f); }},
+      {"white furnace at roughness 1", "the same", analytic, 0.005, "", tables,
+       [](const StressOptions&) { return white_furnace(1); }},
       {"lobe at roughness 0", "values for drawn directions against the formulas in double", precise, 2e-3, "",
-       "the half vector's sine is 1e-3 and each component has an error of 1e-7: 1e-4 of the sine, four times that in D, more in the lobe's tail",
+       "the half vector's sine is 1e-3 and each component has an error of 1e-7: 1e-4 of the sine, four times that in "
+       "D, more in the lobe's tail",
        [](const StressOptions&) { return narrow_lobe(0); }},
-      {"lobe at roughness 0.1", "the same", precise, 2e-4, "", "as above with a sine of 1e-2", [](const StressOptions&) { return narrow_lobe(0.1f); }},
-      {"albedo 0, smooth", "a black smooth dielectric, 4 angles", analytic, 0.005, "", "what is left is Fresnel's reflectance; a lobe of 1e-3 is a mirror to 0.1 %", smooth_black},
-      {"albedo 0, rough", "a black plate of roughness 0.5 in white light", precise, 0.005, "", "65,536 samples scatter by 0.2 %; the double integral has 360,000 points", rough_black},
-      {"largest weight of a sample", "6 roughnesses, 3 metalnesses, 5 angles down to 1e-4, 4,096 samples each", analytic, 1 / 0.15, "times",
-       "either lobe is chosen with at least 0.15 and 0.05, in proportion to what it carries; value over density of a lobe by itself is at most 1", largest_weight},
-      {"grazing directions", "200,000 pairs with cosines down to 1e-38", predicate, 0, "pairs", "values and densities are finite and not negative", grazing_directions},
-      {"weights of two densities", "densities from 1e-38 to 3e38 and infinite", predicate, 0, "pairs", "weights lie in [0, 1] and are 1/2 for equals", heuristic},
-      {"grazing normal maps, rough", "normals in the surface, below it, of length 0, scaled by 1000 and by -1, in white light", analytic, 0.01, "", "a furnace: bent normals may lose light, never make it; 0.5 % for the tables, 0.5 % for the samples", [](const StressOptions&) { return normal_maps(1, 0); }},
-      {"grazing normal maps, metal", "the same on metal of roughness 0.2", analytic, 0.01, "", "as above", [](const StressOptions&) { return normal_maps(0.2f, 1); }},
-      {"coarse ball with smooth normals", "48 faces of metal, in white light: brightest pixel", analytic, 0.02, "", "leaning normals may lose light, never make it; a pixel of 256 samples scatters by 1 %", coarse_ball},
-      {"broken normals and UVs", "normals of length 0 and turned inside out, UVs of 1e30", predicate, 0, "samples", "every sample is finite and not negative", broken_normals},
+      {"lobe at roughness 0.1", "the same", precise, 2e-4, "", "as above with a sine of 1e-2",
+       [](const StressOptions&) { return narrow_lobe(0.1f); }},
+      {"albedo 0, smooth", "a black smooth dielectric, 4 angles", analytic, 0.005, "",
+       "what is left is Fresnel's reflectance; a lobe of 1e-3 is a mirror to 0.1 %", smooth_black},
+      {"albedo 0, rough", "a black plate of roughness 0.5 in white light", precise, 0.005, "",
+       "65,536 samples scatter by 0.2 %; the double integral has 360,000 points", rough_black},
+      {"largest weight of a sample", "6 roughnesses, 3 metalnesses, 5 angles down to 1e-4, 4,096 samples each",
+       analytic, 1 / 0.15, "times",
+       "either lobe is chosen with at least 0.15 and 0.05, in proportion to what it carries; value over density of a "
+       "lobe by itself is at most 1",
+       largest_weight},
+      {"grazing directions", "200,000 pairs with cosines down to 1e-38", predicate, 0, "pairs",
+       "values and densities are finite and not negative", grazing_directions},
+      {"weights of two densities", "densities from 1e-38 to 3e38 and infinite", predicate, 0, "pairs",
+       "weights lie in [0, 1] and are 1/2 for equals", heuristic},
+      {"grazing normal maps, rough",
+       "normals in the surface, below it, of length 0, scaled by 1000 and by -1, in white light", analytic, 0.01, "",
+       "a furnace: bent normals may lose light, never make it; 0.5 % for the tables, 0.5 % for the samples",
+       [](const StressOptions&) { return normal_maps(1, 0); }},
+      {"grazing normal maps, metal", "the same on metal of roughness 0.2", analytic, 0.01, "", "as above",
+       [](const StressOptions&) { return normal_maps(0.2f, 1); }},
+      {"coarse ball with smooth normals", "48 faces of metal, in white light: brightest pixel", analytic, 0.02, "",
+       "leaning normals may lose light, never make it; a pixel of 256 samples scatters by 1 %", coarse_ball},
+      {"broken normals and UVs", "normals of length 0 and turned inside out, UVs of 1e30", predicate, 0, "samples",
+       "every sample is finite and not negative", broken_normals},
   };
 }
 
