@@ -55,6 +55,13 @@ struct StudyResult;
 // Returns 1 when a figure misses its bound.
 int finish_study(const StudyResult& result, const std::string& folder);
 
+struct StressCommand {
+  std::string out, group;  // group: only these cases; empty: all
+  std::uint64_t rays = 10'000'000;
+  bool enforce = false;    // exit status 1 where a case is out of bounds
+};
+int run_stress_study(const StressCommand& command);
+
 struct CompareCommand {
   std::string rig, reference, out;
 };

@@ -110,6 +110,16 @@ int run(int argc, char** argv) {
   c->add_flag("--enforce", leave_out.enforce, "exit status 1 where a figure misses its bound");
   add_scene_options(c, leave_out.options);
 
+  StressCommand stress;
+  c = add_command(app, "stress", "Numerical stability on extreme cases, each against an oracle; a table of errors and bounds",
+                  "moomill stress -o out/stress --enforce", status, [&] { return run_stress_study(stress); });
+  c->add_option("-o,--out", stress.out, "folder for stress.md, stress.csv, summary.json and table.md")->required()->type_name("DIR");
+  c->add_option("--group", stress.group, "only these cases: geometry, skinning, light, sampling, keypoints, statistics")->type_name("GROUP");
+  c->add_option("--rays", stress.rays, "of the search for cracks between triangles; default 10000000")
+      ->type_name("N")
+      ->check(CLI::Range(1000, 1000000000));
+  c->add_flag("--enforce", stress.enforce, "exit status 1 where a case is out of bounds");
+
   CLI::App* rig = app.add_subcommand("rig", "Look at rigs and species");
   rig->require_subcommand(1);
   add_example(rig, "moomill rig check cow");

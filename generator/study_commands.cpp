@@ -9,6 +9,7 @@
 #include "validate/studies/leave_out.h"
 #include "validate/studies/motion.h"
 #include "validate/studies/silhouette.h"
+#include "validate/studies/stress.h"
 #include "validate/studies/study.h"
 
 namespace moomill {
@@ -89,6 +90,28 @@ int run_leave_out(const LeaveOutCommand& command, std::atomic<bool>& stop) {
                                         scene.frames.size(), scene.cameras.width, scene.cameras.height);
   const int missed = finish_study(leave_out_study(title, measured), command.out);
   return command.enforce ? missed : 0;
+}
+
+int run_stress_study(const StressCommand& command) {
+  StressOptions options;
+  options.edge_rays = command.rays;
+  options.group = command.group;
+  const std::vector<StressOutcome> outcomes = run_stress(options);
+  const StudyResult result = stress_study(outcomes);
+  print(result.table);
+  int out_of_bounds = 0;
+  for (const StressOutcome& o : outcomes) {
+    if (o.holds()) continue;
+    ++out_of_bounds;
+    print(fmt::format("OUT    {}: {}: {}\n", o.group, o.what.name,
+                      o.failure.empty() ? fmt::format("{:.3g} {}(allowed: {:.3g})", o.error, o.what.unit.empty() ? "" : o.what.unit + " ", o.what.allowed)
+                                        : o.failure));
+  }
+  print(fmt::format("{} of {} cases within bounds; every case is in {}\n", outcomes.size() - out_of_bounds, outcomes.size(),
+                    (fs::path(command.out) / "stress.md").string()));
+  write_study(result, command.out);
+  write_stress(outcomes, command.out);
+  return command.enforce && out_of_bounds > 0 ? 1 : 0;
 }
 
 int run_rig_compare(const CompareCommand& command) {

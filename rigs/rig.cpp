@@ -12,6 +12,7 @@
 namespace moomill {
 namespace {
 
+constexpr float farthest_vertex = 1e9f;  // metres: squares of areas beyond it overflow
 constexpr std::size_t largest_surface = 100'000'000;  // vertices or triangles: beyond it a file is broken, not big
 
 // Order in which every parent comes before its children; the order as it is where that holds already.
@@ -129,6 +130,9 @@ void check_surface(Rig& rig) {
   for (std::size_t i = 0; i < vertices; ++i) {
     if (!all_finite(s.rest[i]))
       input_error("{}: the position of {} is not finite, export it again", rig.source, vertex_place(rig, i));
+    if (glm::any(glm::greaterThan(glm::abs(s.rest[i]), vec3(farthest_vertex))))
+      input_error("{}: {} lies more than {:.0e} m from the origin, check the file's unit and its scale", rig.source, vertex_place(rig, i),
+                  farthest_vertex);
     if (!s.uvs.empty() && !all_finite(s.uvs[i]))
       input_error("{}: the UV of {} is not finite, export it again", rig.source, vertex_place(rig, i));
     if (!s.colors.empty() && !all_finite(s.colors[i]))

@@ -105,6 +105,20 @@ struct DualQuaternion {
   bool rigid = true;
 };
 
+// The rotation that is left of an orthogonal matrix that mirrors, without its mirror: along the axis that it turns about (its
+// eigenvector of -1), so that a bone mirrored on one axis has not turned at all.
+dmat3 without_mirror(const dmat3& q) {
+  const dmat3 rows = glm::transpose(q + dmat3(1.0));  // the axis is what they leave at zero
+  dvec3 axis(0);
+  for (int i = 0; i < 3; ++i) {
+    const dvec3 across = glm::cross(rows[i], rows[(i + 1) % 3]);
+    if (glm::dot(across, across) > glm::dot(axis, axis)) axis = across;
+  }
+  const double length = glm::length(axis);
+  axis = length > 1e-9 ? axis / length : dvec3(1, 0, 0);  // mirrored through a point: any axis will do
+  return q * (dmat3(1.0) - 2.0 * glm::outerProduct(axis, axis));
+}
+
 // Rotation of the polar decomposition, by Newton's iteration (Higham 1986); Gram-Schmidt where that does not exist.
 dmat3 nearest_rotation(const dmat3& m) {
   double size = 0;
@@ -112,7 +126,6 @@ dmat3 nearest_rotation(const dmat3& m) {
   dmat3 x = m;
   const double determinant = glm::determinant(m);
   if (std::abs(determinant) > 1e-9 * size * size * size && std::isfinite(determinant)) {
-    if (determinant < 0) x = -x;
     for (int i = 0; i < 60; ++i) {
       const dmat3 next = 0.5 * (x + glm::transpose(glm::inverse(x)));
       double change = 0;
@@ -120,6 +133,7 @@ dmat3 nearest_rotation(const dmat3& m) {
       x = next;
       if (change < 1e-15) break;
     }
+    if (determinant < 0) x = without_mirror(x);
     return x;
   }
   dmat4 affine(m);

@@ -42,15 +42,17 @@ TriangleRef corners(const Scene& scene, std::uint32_t instance, std::uint32_t tr
   return {p + t[0], p + t[1], p + t[2]};
 }
 
-// The true nearest hit of a ray whose float hit lay outside its triangle: candidates are what rays a little beside it
-// meet, in growing rings.
+// The true nearest hit of a ray whose float hit cannot be trusted: because it lay outside its triangle, or because the ray
+// passes a vertex. Candidates are it and what rays a little beside it meet, in growing rings.
 PreciseHit resolve(const Scene& scene, const Accel& accel, const dvec3& origin, const dvec3& direction,
                    const dvec3& step_x, const dvec3& step_y, const DepthRange& range, std::uint32_t mask,
                    std::uint32_t known_instance, std::uint32_t known_triangle) {
   PreciseHit best;
   best.t = std::numeric_limits<double>::infinity();
+  std::vector<std::uint32_t> named;  // instances that any of the rays has met
   auto consider = [&](std::uint32_t instance, std::uint32_t triangle) {
     if (instance == no_hit) return;
+    if (std::find(named.begin(), named.end(), instance) == named.end()) named.push_back(instance);
     const TriangleRef c = corners(scene, instance, triangle);
     double t, u, v;
     if (!intersect_triangle(origin, direction, *c.p0, *c.p1, *c.p2, edge_slack, t, u, v) || t <= 0) return;
@@ -78,10 +80,42 @@ PreciseHit resolve(const Scene& scene, const Accel& accel, const dvec3& origin, 
       misses += rays.instance[i] == no_hit;
     }
     if (best.instance != no_hit) return best;
-    if (misses > 0) break;  // an outline against the background, passed on the outside
+    if (misses > 0) break;  // most likely an outline against the background, passed on the outside
   }
+  // Or a vertex of so many faces that none of the rays met the right one: rare enough to look at every face. Not where
+  // some are cut out, for that only Embree's filter knows.
+  for (std::size_t i = 0; i < named.size(); ++i) {
+    const Instance& in = scene.instances[named[i]];
+    if (scene.cut_out(in)) continue;
+    for (std::size_t k = 0; k < in.surface->triangles.size(); ++k) consider(named[i], static_cast<std::uint32_t>(k));
+  }
+  if (best.instance != no_hit) return best;
   best.t = 0;
   return best;
+}
+
+// Pixels of the mask whose centre lies so near a projected vertex that Embree's ray, rounded to float, may pass through it.
+// Its test is watertight across edges, but at a vertex the tests of all faces round on their own, and one ray in a hundred
+// that is aimed at it slips between them.
+std::vector<glm::ivec2> pixels_at_vertices(const Scene& scene, const Camera& camera, const PixelMask& mask, std::uint32_t ray_mask) {
+  std::vector<glm::ivec2> pixels;
+  const double radius = 1e-3 + 0x1p-22 * std::max(camera.fx, camera.fy);  // four roundings of a direction, in pixels
+  const dmat3 turn = glm::transpose(camera.world_to_camera);               // its columns are the rows of the rotation
+  const dvec3 to_x = camera.fx * turn[0] + camera.cx * turn[2], to_y = camera.fy * turn[1] + camera.cy * turn[2];
+  const dvec3 eye = camera.centre - scene.origin;
+  for (const Instance& in : scene.instances) {
+    if (!(animal_mask(in.animal) & ray_mask)) continue;
+    for (const vec3& position : in.posed.positions) {
+      const dvec3 p = dvec3(position) - eye;
+      const double z = glm::dot(turn[2], p);
+      if (!(z > 0)) continue;
+      const double x = glm::dot(to_x, p) / z, y = glm::dot(to_y, p) / z;
+      if (!(x >= 0 && y >= 0 && x < camera.width && y < camera.height)) continue;
+      const int i = static_cast<int>(x), j = static_cast<int>(y);
+      if (std::abs(x - i - 0.5) < radius && std::abs(y - j - 0.5) < radius && mask.get(i, j)) pixels.push_back({i, j});
+    }
+  }
+  return pixels;
 }
 
 }  // namespace
@@ -204,6 +238,18 @@ FirstHits trace_first_hits(const Scene& scene, const Accel& accel, const Camera&
     rays_traced += traced;
     rays_resolved += resolved;
   });
+  for (const glm::ivec2& at : pixels_at_vertices(scene, camera, mask, ray_mask)) {
+    const std::size_t pixel = hits.index(at.x, at.y);
+    const PreciseHit h = resolve(scene, accel, origin, camera.direction(at.x + 0.5, at.y + 0.5), step_x, step_y, range, ray_mask,
+                                 hits.instance[pixel], hits.triangle[pixel]);
+    ++rays_resolved;
+    if (!h.valid() || (hits.instance[pixel] != no_hit && static_cast<float>(h.t) >= hits.depth[pixel])) continue;
+    hits.instance[pixel] = h.instance;
+    hits.triangle[pixel] = h.triangle;
+    hits.u[pixel] = static_cast<float>(h.u);
+    hits.v[pixel] = static_cast<float>(h.v);
+    hits.depth[pixel] = static_cast<float>(h.t);
+  }
   hits.rays = rays_traced;
   hits.resolved = rays_resolved;
   return hits;
@@ -216,10 +262,7 @@ PreciseHit trace_precise(const Scene& scene, const Accel& accel, const Camera& c
   const dvec3 origin = camera.centre - scene.origin;
   const dvec3 o = origin + range.near * direction;
   const SurfaceHit h = accel.intersect({vec3(o), 0, vec3(direction), static_cast<float>(range.far - range.near)}, ray_mask);
-  if (!h.valid()) return {};
-  const TriangleRef c = corners(scene, h.instance, h.triangle);
-  PreciseHit p{h.instance, h.triangle, 0, 0, 0};
-  if (intersect_triangle(origin, direction, *c.p0, *c.p1, *c.p2, edge_slack, p.t, p.u, p.v) && p.t > 0) return p;
+  // Always resolved: keypoints often are vertices, where Embree's hit, or its miss, says little.
   const dvec3 step_x = camera.direction(1, 0) - camera.direction(0, 0);
   const dvec3 step_y = camera.direction(0, 1) - camera.direction(0, 0);
   return resolve(scene, accel, origin, direction, step_x, step_y, range, ray_mask, h.instance, h.triangle);

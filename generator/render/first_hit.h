@@ -36,14 +36,15 @@ struct FirstHits {
   std::vector<float> u, v;    // barycentrics of the second and third vertex, rounded from double
   std::vector<float> depth;   // metres, camera z, rounded from double
   std::uint64_t rays = 0;     // traced
-  std::uint64_t resolved = 0; // near an edge, where Embree's float had chosen a neighbour
+  std::uint64_t resolved = 0; // near an edge, where Embree's float had chosen a neighbour, or at a vertex
   FirstHits() = default;
   FirstHits(int w, int h);
   std::size_t index(int x, int y) const { return static_cast<std::size_t>(y) * width + x; }
 };
 
 // Embree finds the triangle; the hit itself is the intersection of the double-precision ray with the float vertices.
-// Where that lies outside the triangle found, rays beside it name candidates and the nearest true hit is taken.
+// Where that lies outside the triangle found, or the pixel's centre is a vertex, rays beside it name candidates and the
+// nearest true hit is taken.
 FirstHits trace_first_hits(const Scene& scene, const Accel& accel, const Camera& camera, const PixelMask& mask,
                            std::uint32_t ray_mask = everything_mask);
 

@@ -167,9 +167,9 @@ KeypointView trace_keypoint(const Scene& scene, const Accel& accel, const Camera
   KeypointView k;
   const dvec3 p = camera.to_camera(q.position);
   k.depth = p.z;
-  if (p.z <= 0) return k;
+  if (!(p.z > 0)) return k;  // also not-a-number
   k.pixel = camera.project(p);
-  if (k.pixel.x < 0 || k.pixel.y < 0 || k.pixel.x >= camera.width || k.pixel.y >= camera.height) return k;
+  if (!(k.pixel.x >= 0 && k.pixel.y >= 0 && k.pixel.x < camera.width && k.pixel.y < camera.height)) return k;
   const dvec3 direction = camera.direction(k.pixel.x, k.pixel.y);
   const PreciseHit hit = trace_precise(scene, accel, camera, direction);
   k.visibility = Visibility::visible;
@@ -177,7 +177,9 @@ KeypointView trace_keypoint(const Scene& scene, const Accel& accel, const Camera
   if (!hit.valid()) return k;
   k.margin = (p.z - hit.t) * glm::length(direction);  // metres along the ray
   const int other = scene.instances[hit.instance].animal;
-  if (k.margin <= 0) return k;
+  // A point on the very surface must not be hidden by the rounding of world coordinates and of the ray.
+  const double size = std::max({1.0, p.z, glm::length(q.position), glm::length(camera.centre)});
+  if (k.margin <= 1e-12 * size * glm::length(direction)) return k;
   if (other == animal && k.margin <= q.tolerance) return k;
   k.visibility = Visibility::hidden;
   k.cause = other == animal ? HiddenBy::self : other >= 0 ? HiddenBy::other_animal : HiddenBy::scenery;

@@ -8,6 +8,7 @@ namespace {
 
 constexpr float pi_f = std::numbers::pi_v<float>;
 constexpr float infinity = std::numeric_limits<float>::infinity();
+constexpr float brightest = 1e30f;  // radiance of a map's pixel: room for weights and sums below the largest float
 
 // Index i with cdf[i] <= x < cdf[i + 1], and where x lies in it.
 std::pair<int, float> find_interval(const float* cdf, int n, float x) {
@@ -32,6 +33,9 @@ Environment::Environment(ImageF map, const std::string& name, float strength, do
         const float v = map_.at(x, y, c);
         if (!std::isfinite(v) || v < 0)
           input_error("{}: pixel ({}, {}) is {}; an environment map wants finite values of 0 or more", name, x, y, v);
+        if (!(v * strength >= 0) || v * strength > brightest)
+          input_error("{}: pixel ({}, {}) is {}, times the strength {}; at most {:.0e} can be rendered, lower the strength", name, x, y, v,
+                      strength, brightest);
         rgb.at(x, y, c) = v * strength;
       }
   map_ = std::move(rgb);
@@ -119,13 +123,13 @@ float Environment::pdf(const vec3& direction) const {
 }
 
 float Sun::one_minus_cos() const {
-  const float s = std::sin(0.5f * angular_radius);
+  const float s = std::sin(0.5f * disc_radius());
   return 2.0f * s * s;  // 1 - cos without cancellation
 }
 
 vec3 Sun::radiance() const {
   // irradiance = radiance * pi * sin^2(radius)
-  const float s = std::sin(angular_radius);
+  const float s = std::sin(disc_radius());
   return irradiance / (pi_f * s * s);
 }
 

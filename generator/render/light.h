@@ -45,7 +45,9 @@ class Environment {
 struct Sun {
   vec3 direction{0, 0, 1};  // unit, towards the sun
   vec3 irradiance{1};       // on a surface that faces it, W/m^2 in scene units
-  float angular_radius = 0.00465f;  // radians
+  float angular_radius = 0.00465f;  // radians; 0 for a point
+  // What is sampled: a disc narrower than float directions resolve would have no density.
+  float disc_radius() const { return std::max(angular_radius, 1e-4f); }
   float one_minus_cos() const;      // of the disc's rim
   vec3 radiance() const;
   LightSample sample(const vec2& u) const;

@@ -161,7 +161,7 @@ TEST_CASE("rays through edges and vertices of a fine grid never slip through, an
     MESSAGE("resolved in double: ", hits.resolved);
     CHECK(holes == 0);
     CHECK(worst < 1e-6);
-    CHECK((hits.resolved > 0) == (tilt != 0));
+    CHECK(hits.resolved > 0);  // at edges of the tilted plate, at vertices of both
   }
 }
 
