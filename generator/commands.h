@@ -60,6 +60,14 @@ struct CompareCommand {
 };
 int run_rig_compare(const CompareCommand& command);
 
+struct CrosscheckCommand {
+  std::string scene, out, blender = "blender", timing;
+  SceneOptions options;
+  std::optional<int> frame;
+  int label_scale = 1, threads = 0, reference = 0;
+};
+int run_crosscheck(const CrosscheckCommand& command);
+
 struct CoatBakeCommand {
   std::string coat, rig, out;
   std::string breed;  // instead of a coat: individuals of this breed, into the folder `out`

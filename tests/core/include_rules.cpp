@@ -48,7 +48,7 @@ TEST_CASE("libraries include only what the architecture lets them") {
       {"scenes", {"generator/core", "generator/render", "generator/dataset", "rigs", "textures", "scenes"}},
       {"validate", {"generator/core", "generator/dataset", "rigs", "validate"}},
       {"validate/studies",
-       {"generator/core", "generator/dataset", "rigs", "textures", "scenes", "validate", "validate/studies"}},
+       {"generator/core", "generator/render", "generator/dataset", "rigs", "textures", "scenes", "validate", "validate/studies"}},
       {"neural", {"generator/core", "generator/dataset", "neural", "neural/kernels"}},
       {"neural/kernels", {"generator/core", "neural/kernels"}},
   };
