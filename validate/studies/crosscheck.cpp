@@ -54,7 +54,7 @@ void run_blender(const CrosscheckOptions& options, const fs::path& folder, const
   const fs::path script = data_root() / "validate" / "blender" / "crosscheck.py";
   if (!fs::exists(script)) input_error("{} is not there; set MOOMILL_HOME to the folder that holds validate/", script.string());
   std::vector<std::string> words = {program.string(), "-b", "--factory-startup", "--python-exit-code", "1", "-P", script.string(), "--",
-                                    folder.string(), "--threads", std::to_string(options.threads)};
+                                    folder.string(), "--threads", std::to_string(options.threads), "--launched", fmt::format("{:.3f}", std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count())};
   words.insert(words.end(), more.begin(), more.end());
   const fs::path log = folder / "blender.log";
   if (const int status = run_logged(words, log); status != 0)
