@@ -64,7 +64,7 @@ struct CrosscheckCommand {
   std::string scene, out, blender = "blender", timing;
   SceneOptions options;
   std::optional<int> frame;
-  int label_scale = 1, threads = 0, reference = 0;
+  int label_scale = 3, threads = 0, reference = 0;
 };
 int run_crosscheck(const CrosscheckCommand& command);
 

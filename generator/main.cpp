@@ -88,7 +88,7 @@ int run(int argc, char** argv) {
   c->add_option("--coats", crosscheck.options.coats, "default: two of them")->type_name("0,11");
   c->add_option("--resolution", crosscheck.options.resolution, "of the pictures")->type_name("WxH");
   c->add_option("--spp", crosscheck.options.samples, "samples per pixel of both")->type_name("N");
-  c->add_option("--label-scale", crosscheck.label_scale, "odd: Cycles' labels so many times finer, of which the middle pixels count")
+  c->add_option("--label-scale", crosscheck.label_scale, "odd: Cycles' labels so many times finer, of which the middle pixels count; default 3")
       ->type_name("N")
       ->check(CLI::Range(1, 99));
   c->add_option("--threads", crosscheck.threads, "of Blender; 0: one per core")->type_name("N")->check(CLI::Range(0, 4096));

@@ -208,7 +208,7 @@ TEST_CASE("Cycles sees the same tiny cow" * doctest::skip(find_program("blender"
   const test::TemporaryFile here("x", "");
   CrosscheckOptions options;
   options.out = here.folder();
-  options.label_scale = 15;
+  options.label_scale = 15;  // a pixel is 8 cm wide
   options.threads = 2;
   const StudyResult r = crosscheck(tiny_scene(), options);
   CHECK(value_of(r, "silhouette: of those farther than 0.01 px from an outline") == 0);

@@ -10,6 +10,8 @@ import numpy
 from mathutils import Matrix
 
 AOV = "nnopcs"
+# Cycles has meanings of its own for the names "tangent" and "vertex_color".
+COLOR, TANGENT, SIDE = "moomill_color", "moomill_tangent", "moomill_side"
 
 
 # --- reading what moomill wrote ---
@@ -214,7 +216,7 @@ class Materials:
         if first["texture"] >= 0:
             color = n.vector("MULTIPLY", color, self.texture(n, first["texture"], "srgb" if surface == "principled" else "linear", "coat").outputs["Color"])
         if first["vertex_colors"] and any(i["colors"] for i in self.export.data["instances"]):
-            color = n.vector("MULTIPLY", color, n.attribute("vertex_color")["Vector"])
+            color = n.vector("MULTIPLY", color, n.attribute(COLOR)["Vector"])
 
         if surface == "diffuse":
             shader = n.add("ShaderNodeBsdfDiffuse")
@@ -276,7 +278,10 @@ class Materials:
         mix = n.add("ShaderNodeMixShader")
         n.set(mix.inputs["Fac"], metallic)
         n.set(mix.inputs[1], both.outputs["Shader"])
-        n.set(mix.inputs[2], self.principled(n, color, roughness, 1.0, normal, "MULTI_GGX").outputs["BSDF"])
+        metal = self.principled(n, color, roughness, 1.0, normal, "MULTI_GGX")
+        # Cycles blends metals to white by the Fresnel curve of an IOR, moomill by Schlick's; at 1.44 both have one average, 1/21.
+        n.set(metal.inputs["Specular"], 0.41)
+        n.set(mix.inputs[2], metal.outputs["BSDF"])
         return mix.outputs["Shader"]
 
     @staticmethod
@@ -304,9 +309,9 @@ class Materials:
         """moomill's frame: x along u of the triangle, made square to the shading normal (Blender's node would take MikkTSpace's,
         smoothed over vertices)."""
         up = n.add("ShaderNodeNewGeometry").outputs["Normal"]
-        tangent = n.attribute("tangent")["Vector"]
+        tangent = n.attribute(TANGENT)["Vector"]
         x = n.vector("NORMALIZE", n.vector("SUBTRACT", tangent, n.scale(up, n.vector("DOT_PRODUCT", up, tangent))))
-        y = n.scale(n.vector("CROSS_PRODUCT", up, x), n.attribute("bitangent_sign")["Fac"])
+        y = n.scale(n.vector("CROSS_PRODUCT", up, x), n.attribute(SIDE)["Fac"])
         local = n.vector("SUBTRACT", n.scale(texel, 2.0), (1.0, 1.0, 1.0))
         part = n.add("ShaderNodeSeparateXYZ")
         n.set(part.inputs["Vector"], local)
@@ -349,7 +354,7 @@ def build_mesh(export, instance, number, materials):
     if instance["nnopcs"]:
         attribute(AOV, "FLOAT_VECTOR", "POINT", export.array(instance["nnopcs"], numpy.float32, vertices, 3), "vector")
     if instance["colors"]:
-        attribute("vertex_color", "FLOAT_VECTOR", "POINT", export.array(instance["colors"], numpy.float32, vertices, 3), "vector")
+        attribute(COLOR, "FLOAT_VECTOR", "POINT", export.array(instance["colors"], numpy.float32, vertices, 3), "vector")
     if instance["uvs"]:
         uv = export.array(instance["uvs"], numpy.float32, vertices, 2).astype(numpy.float64)
         for k, p in enumerate(materials.placements):
@@ -366,8 +371,8 @@ def build_mesh(export, instance, number, materials):
         tangent = (edge1 * d2[:, 1:] - edge2 * d1[:, 1:]) * sign[:, None]
         # Tiny triangles in a tiny atlas would give tangents of 1e-12, which nodes take for nothing.
         tangent /= numpy.maximum(numpy.linalg.norm(tangent, axis=1), 1e-30)[:, None]
-        attribute("tangent", "FLOAT_VECTOR", "FACE", tangent, "vector")
-        attribute("bitangent_sign", "FLOAT", "FACE", -sign, "value")
+        attribute(TANGENT, "FLOAT_VECTOR", "FACE", tangent, "vector")
+        attribute(SIDE, "FLOAT", "FACE", -sign, "value")
     mesh.use_auto_smooth = True  # or custom normals would not be used
     mesh.normals_split_custom_set_from_vertices(export.array(instance["normals"], numpy.float32, vertices, 3).tolist())
     thing = bpy.data.objects.new(f"instance{number}", mesh)

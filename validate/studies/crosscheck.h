@@ -91,7 +91,7 @@ struct CrosscheckOptions {
   std::filesystem::path out;
   std::string blender = "blender";  // program, by name or path
   std::optional<int> frame;         // default: the scene's first
-  int label_scale = 1;              // odd: how much finer Cycles' labels are rendered, of which the middle pixels count
+  int label_scale = 3;              // odd: how much finer Cycles' labels are rendered, of which the middle pixels count
   int threads = 0;                  // of Blender; 0: all
   std::vector<int> timing_samples;  // with any: no comparison but timed renders of Blender's own material, at each
   int reference_samples = 0;        // of the timed renders' errors; 0: errors stay empty
