@@ -143,8 +143,9 @@ def main():
     scene.collection.objects.link(scene.camera)
     layer = scene.view_layers[0]
     layer.name = "View"
-    aov = layer.aovs.add()
-    aov.name, aov.type = AOV, "COLOR"
+    if arguments.labels:  # renders for their run time do without
+        aov = layer.aovs.add()
+        aov.name, aov.type = AOV, "COLOR"
 
     def use(surface):
         for thing, instance in zip(things, export.data["instances"]):
@@ -180,9 +181,6 @@ def main():
 
     rows = []
     passes(False)
-    if not arguments.labels:
-        while len(layer.aovs):
-            layer.aovs.remove(layer.aovs[0])
     scene.cycles.filter_width = export.data["filter_radius"]  # Cycles' window is twice as wide as this, from -w to w
     for surface in [s for s in arguments.surface.split(",") if s]:
         use(surface)
