@@ -100,12 +100,16 @@ def render(scene, samples, seed, path):
     """Renders into `path`; wall and core seconds of bpy.ops.render.render(), and the seconds Cycles says it traced."""
     scene.cycles.samples = samples
     scene.cycles.seed = seed
+    scene.update_tag()  # or persistent data would go on with the settings of the render before
     wall, core = time.perf_counter(), cores()
     bpy.ops.render.render()
     wall, core = time.perf_counter() - wall, cores() - core
     os.makedirs(os.path.dirname(path), exist_ok=True)
     bpy.data.images["Render Result"].save_render(path, scene=scene)
     text = exr_attributes(path)
+    made = [int(v) for k, v in text.items() if k.startswith("cycles.") and k.endswith(".samples")]
+    if made != [samples]:
+        raise RuntimeError(f"{path} was rendered with {made} samples instead of {samples}")
     told = {k.split(".")[-1]: seconds_of(v) for k, v in text.items() if k.startswith("cycles.") and k.endswith("_time")}
     return wall, core, told
 
