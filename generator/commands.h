@@ -85,6 +85,14 @@ struct LeaveOutCommand {
 };
 int run_leave_out(const LeaveOutCommand& command, std::atomic<bool>& stop);
 
+struct CrosscheckCommand {
+  std::string scene, out, blender = "blender", timing;
+  SceneOptions options;
+  std::optional<int> frame;
+  int label_scale = 3, threads = 0, reference = 0;
+};
+int run_crosscheck(const CrosscheckCommand& command);
+
 struct CoatBakeCommand {
   std::string coat, rig, out;
   std::string breed;  // instead of a coat: individuals of this breed, into the folder `out`

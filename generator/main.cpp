@@ -77,6 +77,28 @@ int run(int argc, char** argv) {
   c->add_option("--frames", preview.frames, "of --strip: spread over frames A to B")->type_name("A:B");
   c->add_flag("--coats", preview.coats, "one view of a scene in all its coats");
 
+  CrosscheckCommand crosscheck;
+  c = add_command(app, "crosscheck", "The same frame by Blender's Cycles, compared; exit 1 when a bound is missed",
+                  "moomill crosscheck scenes/quick.toml -o out/crosscheck --cameras 0,13 --coats 0", status,
+                  [&] { return run_crosscheck(crosscheck); });
+  c->add_option("scene", crosscheck.scene, "scene file")->required()->type_name("SCENE");
+  c->add_option("-o,--out", crosscheck.out, "folder for tables, figures and pictures")->required()->type_name("DIR");
+  c->add_option("--frame", crosscheck.frame, "default: the first")->type_name("F");
+  c->add_option("--cameras", crosscheck.options.cameras, "default: three of them")->type_name("0,2,5:7");
+  c->add_option("--coats", crosscheck.options.coats, "default: two of them")->type_name("0,11");
+  c->add_option("--resolution", crosscheck.options.resolution, "of the pictures")->type_name("WxH");
+  c->add_option("--spp", crosscheck.options.samples, "samples per pixel of both")->type_name("N");
+  c->add_option("--label-scale", crosscheck.label_scale, "odd: Cycles' labels so many times finer, of which the middle pixels count; default 3")
+      ->type_name("N")
+      ->check(CLI::Range(1, 99));
+  c->add_option("--threads", crosscheck.threads, "of Blender; 0: one per core")->type_name("N")->check(CLI::Range(0, 4096));
+  c->add_option("--blender", crosscheck.blender, "program, where it is not on the PATH")->type_name("FILE");
+  CLI::Option* timing = c->add_option("--timing", crosscheck.timing, "no comparison: cycles.csv with the run time of Blender's own material at each of these samples")
+                            ->type_name("16,64");
+  c->add_option("--reference", crosscheck.reference, "with --timing: samples of the pictures that errors are taken against")
+      ->type_name("N")
+      ->needs(timing);
+
   std::string folder;
   c = add_command(app, "validate", "Check every invariant of a dataset; exit 1 and a list where one fails",
                   "moomill validate out/quick", status, [&] { return run_validate(folder); });

@@ -5,6 +5,7 @@
 #include "generator/progress_bar.h"
 #include "scenes/scene.h"
 #include "validate/studies/converge.h"
+#include "validate/studies/crosscheck.h"
 #include "validate/studies/deformation.h"
 #include "validate/studies/leave_out.h"
 #include "validate/studies/motion.h"
@@ -142,6 +143,38 @@ int run_rig_motion(const std::string& source, int samples, const std::string& fo
   const SceneSpec scene = read_scene(source);
   const Species species = read_species(scene.animals[0].species, scene.normalization, fs::path(scene.file).parent_path());
   return finish_study(study_motion(scene, species, options), folder);
+}
+
+namespace {
+
+// At most n of a list, spread evenly over it.
+std::vector<int> some_of(const std::vector<int>& all, std::size_t n) {
+  if (all.size() <= n) return all;
+  std::vector<int> some;
+  for (std::size_t i = 0; i < n; ++i) some.push_back(all[i * all.size() / n]);
+  return some;
+}
+
+}  // namespace
+
+int run_crosscheck(const CrosscheckCommand& command) {
+  SceneSpec scene = read_scene(command.scene);
+  Overrides overrides = parse_overrides(command.options);
+  apply_overrides(scene, overrides);
+  CrosscheckOptions options;
+  options.out = command.out;
+  options.blender = command.blender;
+  options.frame = command.frame;
+  options.label_scale = command.label_scale;
+  options.threads = command.threads;
+  options.reference_samples = command.reference;
+  if (!command.timing.empty()) options.timing_samples = parse_list("--timing", command.timing);
+  // A whole dataset would take Cycles days: without a word, three cameras and two coats stand for all.
+  Overrides few;
+  if (overrides.cameras.empty() && scene.cameras.only.empty()) few.cameras = some_of(all_camera_ids(scene.cameras), 3);
+  if (overrides.coats.empty()) few.coats = some_of(scene.coat_indices, 2);
+  apply_overrides(scene, few);
+  return finish_study(options.timing_samples.empty() ? crosscheck(scene, options) : time_cycles(scene, options), command.out);
 }
 
 }  // namespace moomill

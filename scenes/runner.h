@@ -67,12 +67,12 @@ class Mill {
   View trace_labels(const Frame& frame, const CameraRecord& camera) const;              // thread-safe
   View trace_coats(const Frame& frame, const CameraRecord& camera, const Dressed& dressed,
                    const Resampling& resampling = {}) const;  // thread-safe
+  Lights lights(const Frame& frame, const CameraRecord& camera) const;                 // thread-safe
   FrameRecord record(const Frame& frame) const;
   const StageCounts& counts() const { return counts_; }
 
  private:
   struct Loaded;
-  Lights lights(const Frame& frame, const CameraRecord& camera) const;
   void composite(View& view, const CameraRecord& camera) const;
   void load_appearance();
 

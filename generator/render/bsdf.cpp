@@ -128,17 +128,18 @@ Frame::Frame(const vec3& n) : z(n) {
   y = {b, sign + n.y * n.y * a, -n.y};
 }
 
-Bsdf::Bsdf(float roughness, float metallic, const vec3& wo)
+Bsdf::Bsdf(float roughness, float metallic, const vec3& wo, float specular)
     : wo_(wo),
       alpha_(alpha_of(std::clamp(roughness, 0.0f, 1.0f))),
       roughness_(std::sqrt(alpha_)),
-      metallic_(std::clamp(metallic, 0.0f, 1.0f)) {
-  ed_wo_ = dielectric_albedo().at(wo.z, roughness_);
-  ed_average_ = dielectric_albedo().average_at(roughness_);
+      metallic_(std::clamp(metallic, 0.0f, 1.0f)),
+      specular_(specular) {
+  ed_wo_ = specular_ * dielectric_albedo().at(wo.z, roughness_);
+  ed_average_ = specular_ * dielectric_albedo().average_at(roughness_);
   es_wo_ = metallic_ > 0 ? mirror_albedo().at(wo.z, roughness_) : 1.0f;
   // As for a white base. A floor keeps the highlight of dark coats from being sampled too rarely.
-  const float specular = metallic_ + (1.0f - metallic_) * ed_wo_;
-  specular_probability_ = metallic_ == 1.0f ? 1.0f : std::clamp(specular, 0.15f, 0.95f);
+  const float share = metallic_ + (1.0f - metallic_) * ed_wo_;
+  specular_probability_ = metallic_ == 1.0f ? 1.0f : share == 0.0f ? 0.0f : std::clamp(share, 0.15f, 0.95f);
 }
 
 BaseResponse Bsdf::evaluate(const vec3& wi) const {
@@ -150,8 +151,8 @@ BaseResponse Bsdf::evaluate(const vec3& wi) const {
   const float dg = ggx_d(h, alpha_) * smith_g2(wo_.z, wi.z, alpha_) / (4.0f * wo_.z);  // times cos(wi)
   const float dielectric = 1.0f - metallic_;
   if (dielectric > 0) {
-    r.a += dielectric * dg * fresnel_dielectric(oh, bsdf_ior);
-    const float ed_wi = dielectric_albedo().at(wi.z, roughness_);
+    r.a += dielectric * dg * fresnel_dielectric(oh, bsdf_ior) * specular_;
+    const float ed_wi = specular_ * dielectric_albedo().at(wi.z, roughness_);
     r.b += dielectric * (1.0f - ed_wo_) * (1.0f - ed_wi) / (1.0f - ed_average_) * wi.z / pi_f;
   }
   if (metallic_ > 0) {

@@ -7,6 +7,7 @@
 //   dielectric: D G F / (4 co ci)  +  b / pi (1 - Ed(co)) (1 - Ed(ci)) / (1 - Ed_avg)
 //               Ed: directional albedo of the specular lobe. What it does not reflect reaches the base, so a white
 //               base reflects everything at any roughness (Kulla & Conty 2017; Kelemen & Szirmay-Kalos 2001).
+//               A factor `specular` scales F and with it Ed; at 0 the surface is Lambert's.
 //   metal:      D G F_Schlick(b) / (4 co ci) (1 + b (1 - Es) / Es), the multiple-scattering gain of Turquin 2019.
 //               Es: directional albedo of the lobe for F = 1.
 // D, G: GGX with height-correlated Smith masking; visible-normal sampling (Heitz 2018). alpha = roughness^2.
@@ -31,14 +32,14 @@ struct BsdfSample {
 // A surface point's BSDF, prepared for one outgoing direction. Directions are local, z up, unit.
 class Bsdf {
  public:
-  Bsdf(float roughness, float metallic, const vec3& wo);
+  Bsdf(float roughness, float metallic, const vec3& wo, float specular = 1);
   BaseResponse evaluate(const vec3& wi) const;  // BSDF times cos(wi), 1 / sr
   float pdf(const vec3& wi) const;              // 1 / sr
   BsdfSample sample(const vec2& u, float lobe) const;
 
  private:
   vec3 wo_;
-  float alpha_, roughness_, metallic_, specular_probability_, ed_wo_, ed_average_, es_wo_;
+  float alpha_, roughness_, metallic_, specular_, specular_probability_, ed_wo_, ed_average_, es_wo_;
   float specular_pdf(const vec3& h) const;
 };
 

@@ -32,6 +32,8 @@ class Environment {
   LightSample sample(const vec2& u) const;  // only for maps; a constant is left to BSDF sampling
   float pdf(const vec3& direction) const;
   vec3 mean_radiance() const { return is_map() ? mean_ : constant_; }
+  const ImageF& map() const { return map_; }  // times the strength; empty for a constant
+  double yaw_rad() const { return yaw_turns_ * 2 * pi; }
 
  private:
   glm::ivec2 texel(const vec3& direction) const;

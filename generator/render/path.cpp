@@ -134,7 +134,7 @@ void trace_path(const Scene& scene, const Lights& lights, const Accel& accel, co
       metallic *= texture_value(*scene.appearance->textures[m.metallic_roughness_texture], point.uv, 2);
     }
     const Frame frame(point.shading);
-    const Bsdf bsdf(roughness, metallic, frame.to_local(wo));
+    const Bsdf bsdf(roughness, metallic, frame.to_local(wo), m.specular);
 
     const vec2 choice = sampler.get(block + choice_pair, sample);
     if (lights.count() > 0) {

@@ -14,6 +14,7 @@ namespace moomill {
 // A finish (what all coats share) and how base colours are found.
 struct Material {
   float roughness = 1, metallic = 0;
+  float specular = 1;  // scales what a dielectric reflects at its surface; 0: Lambert's matt surface
   int metallic_roughness_texture = -1;  // Appearance::textures; G roughness, B metallic
   int normal_texture = -1;
   float normal_scale = 1;

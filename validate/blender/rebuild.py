@@ -1,0 +1,478 @@
+"""What `moomill crosscheck` exported, as a Blender scene: meshes, materials, cameras, lights. Used by crosscheck.py; README.md says
+where the conventions differ and how they were brought together.
+"""
+import json
+import math
+import os
+
+import bpy
+import numpy
+from mathutils import Matrix
+
+AOV = "nnopcs"
+# Cycles has meanings of its own for the names "tangent" and "vertex_color".
+COLOR, TANGENT, SIDE = "moomill_color", "moomill_tangent", "moomill_side"
+
+
+# --- reading what moomill wrote ---
+
+class Export:
+    def __init__(self, folder):
+        self.folder = folder
+        with open(os.path.join(folder, "scene.json")) as file:
+            self.data = json.load(file)
+        if self.data["schema"] != "moomill crosscheck 1":
+            raise ValueError(f"{folder}/scene.json has the schema {self.data['schema']}; export it again")
+
+    def array(self, name, kind, *shape):
+        values = numpy.fromfile(os.path.join(self.folder, name), dtype=kind)
+        return values.reshape(shape)
+
+
+def srgb_to_linear(bytes_):
+    table = numpy.arange(256, dtype=numpy.float64) / 255
+    table = numpy.where(table <= 0.04045, table / 12.92, ((table + 0.055) / 1.055) ** 2.4).astype(numpy.float32)
+    return table[bytes_]
+
+
+def specular_albedo():
+    """Directional albedo Ed(cosine, roughness) of a GGX lobe at IOR 1.5 with height-correlated Smith masking, [65, 64]: rows
+    are roughness 0..1, columns the square root of the cosine 0..1. What the matt base of moomill's surface leaves out. Sums
+    over visible normals (Heitz 2018): the weight of a sample is F G2 / G1."""
+    columns, rows = 64, 65
+    x = numpy.linspace(0, 1, columns)
+    co = numpy.maximum(x * x, 1e-4)[:, None, None]
+    # Finer towards the end of the radius, where the tail of GGX decides what falls under the horizon.
+    q = 1 - (numpy.arange(64) + 0.5) / 64
+    r = numpy.sqrt(1 - q ** 3)[None, :, None]
+    weight = (q ** 2)[None, :, None] * numpy.ones((1, 1, 24))
+    weight = weight / weight.sum()
+    phi = (2 * math.pi * (numpy.arange(24) + 0.5) / 24)[None, None, :]
+    table = numpy.zeros((rows, columns), dtype=numpy.float32)
+    for j in range(rows):
+        alpha = max((j / (rows - 1)) ** 2, 1e-3)
+        so = numpy.sqrt(1 - co * co)
+        vx, vz = alpha * so, co
+        length = numpy.sqrt(vx * vx + vz * vz)
+        vx, vz = vx / length, vz / length
+        # Basis around the stretched view direction (vx, 0, vz): (0, 1, 0) and (-vz, 0, vx).
+        p1, s = r * numpy.cos(phi), 0.5 * (1 + vz)
+        p2 = (1 - s) * numpy.sqrt(numpy.maximum(0, 1 - p1 * p1)) + s * r * numpy.sin(phi)
+        p3 = numpy.sqrt(numpy.maximum(0, 1 - p1 * p1 - p2 * p2))
+        h = numpy.stack(numpy.broadcast_arrays(alpha * (-p2 * vz + p3 * vx), alpha * p1, numpy.maximum(1e-7, p2 * vx + p3 * vz)))
+        h /= numpy.sqrt((h * h).sum(axis=0))
+        oh = so * h[0] + co * h[2]
+        ci = 2 * oh * h[2] - co
+
+        def smith(c):
+            c2 = numpy.maximum(c * c, 1e-14)
+            return 0.5 * (numpy.sqrt(1 + alpha * alpha * numpy.maximum(0, 1 - c2) / c2) - 1)
+
+        c = numpy.clip(oh, 0, 1)
+        g = numpy.sqrt(1.5 ** 2 - 1 + c * c)
+        fresnel = 0.5 * ((g - c) / (g + c)) ** 2 * (1 + ((c * (g + c) - 1) / (c * (g - c) + 1)) ** 2)
+        value = numpy.where((ci > 0) & (oh > 0), fresnel * (1 + smith(co)) / (1 + smith(co) + smith(ci)), 0)
+        table[j] = (value * weight).sum(axis=(1, 2))
+    return table
+
+
+# --- images ---
+
+def new_image(name, pixels, color_space, is_float):
+    """pixels: [height, width, 4], top row first; Blender wants the bottom row first."""
+    height, width = pixels.shape[:2]
+    image = bpy.data.images.new(name, width, height, alpha=True, float_buffer=is_float, is_data=color_space == "Non-Color")
+    image.colorspace_settings.name = color_space
+    image.alpha_mode = "CHANNEL_PACKED"
+    image.pixels.foreach_set(numpy.ascontiguousarray(pixels[::-1], dtype=numpy.float32).ravel())
+    image.update()
+    return image
+
+
+class Images:
+    """Each texture once for each use."""
+
+    def __init__(self, export):
+        self.export = export
+        self.made = {}
+
+    def get(self, index, use):
+        """use: `linear` (floats, filtered after the conversion from sRGB), `srgb` (bytes as Blender users have them), `data`."""
+        key = (index, use)
+        if key not in self.made:
+            t = self.export.data["textures"][index]
+            raw = self.export.array(t["file"], numpy.uint8, t["height"], t["width"], t["channels"])
+            # One and two channels are grey and grey with alpha for colours; for data the last channel repeats.
+            if t["channels"] < 3:
+                order = [0, 0, 0] if use != "data" else [min(c, t["channels"] - 1) for c in range(3)]
+                rgb, alpha = raw[..., order], raw[..., 1:] if t["channels"] == 2 else None
+            else:
+                rgb, alpha = raw[..., :3], raw[..., 3:] if t["channels"] == 4 else None
+            pixels = numpy.ones(raw.shape[:2] + (4,), dtype=numpy.float32)
+            pixels[..., :3] = srgb_to_linear(rgb) if use == "linear" else rgb.astype(numpy.float32) / 255
+            if alpha is not None:
+                pixels[..., 3:] = alpha.astype(numpy.float32) / 255
+            space = "sRGB" if use == "srgb" else "Non-Color"
+            self.made[key] = new_image(f"texture{index}_{use}", pixels, space, use == "linear")
+        return self.made[key]
+
+
+# --- materials ---
+
+class Nodes:
+    """A few words for building node trees; inputs are sockets or constants."""
+
+    def __init__(self, tree):
+        self.tree = tree
+
+    def add(self, kind, **properties):
+        node = self.tree.nodes.new(kind)
+        for name, value in properties.items():
+            setattr(node, name, value)
+        return node
+
+    def set(self, socket, value):
+        if isinstance(value, bpy.types.NodeSocket):
+            self.tree.links.new(value, socket)
+        elif hasattr(socket.default_value, "__len__") and not hasattr(value, "__len__"):
+            socket.default_value = [value] * len(socket.default_value)
+        elif hasattr(value, "__len__"):
+            socket.default_value = list(value) + [1.0] * (len(socket.default_value) - len(value))
+        else:
+            socket.default_value = value
+
+    def math(self, operation, *values, clamp=False):
+        node = self.add("ShaderNodeMath", operation=operation, use_clamp=clamp)
+        for socket, value in zip(node.inputs, values):
+            self.set(socket, value)
+        return node.outputs["Value"]
+
+    def vector(self, operation, *values):
+        node = self.add("ShaderNodeVectorMath", operation=operation)
+        for socket, value in zip(node.inputs, values):
+            self.set(socket, value)
+        return node.outputs["Value" if operation == "DOT_PRODUCT" else "Vector"]
+
+    def scale(self, vector, factor):
+        node = self.add("ShaderNodeVectorMath", operation="SCALE")
+        self.set(node.inputs["Vector"], vector)
+        self.set(node.inputs["Scale"], factor)
+        return node.outputs["Vector"]
+
+    def attribute(self, name):
+        return self.add("ShaderNodeAttribute", attribute_name=name).outputs
+
+    def image(self, image, uv_name, extension, name=""):
+        node = self.add("ShaderNodeTexImage", image=image, interpolation="Linear", extension=extension, name=name)
+        if uv_name is not None:
+            self.set(node.inputs["Vector"], self.add("ShaderNodeUVMap", uv_map=uv_name).outputs["UV"])
+        return node
+
+    def split(self, color):
+        node = self.add("ShaderNodeSeparateColor")
+        self.set(node.inputs["Color"], color)
+        return node.outputs
+
+
+class Materials:
+    def __init__(self, export):
+        self.export = export
+        self.images = Images(export)
+        self.made = {}  # (surface, index): material and what a coat changes in it
+        self.placements = []  # distinct ones; the k-th has its own UV layer
+        for t in export.data["textures"]:
+            if t["wrap"] == "mirror":
+                raise ValueError(f"texture {t['file']} is mirrored beyond its border, which Blender 3.4 cannot; give it another wrap mode")
+            if t["placement"] not in self.placements:
+                self.placements.append(t["placement"])
+        self.albedo = None
+
+    def texture(self, n, index, use, name=""):
+        t = self.export.data["textures"][index]
+        layer = f"uv{self.placements.index(t['placement'])}"
+        return n.image(self.images.get(index, use), layer, {"clamp": "EXTEND", "repeat": "REPEAT"}[t["wrap"]], name)
+
+    def get(self, surface, index):
+        if (surface, index) not in self.made:
+            self.made[surface, index] = self.build(surface, index)
+        return self.made[surface, index]
+
+    def paints(self, index):
+        return self.export.data["paints"][self.export.data["materials"][index]["paint"]]
+
+    def build(self, surface, index):
+        m = self.export.data["materials"][index]
+        material = bpy.data.materials.new(f"{surface}{index}")
+        material.use_nodes = True
+        material.node_tree.nodes.clear()
+        n = Nodes(material.node_tree)
+        output = n.add("ShaderNodeOutputMaterial")
+        aov = n.add("ShaderNodeOutputAOV", name=AOV)
+        n.set(aov.inputs["Color"], n.attribute(AOV)["Vector"])
+
+        # Base colour: a factor, times the coat's texture, times vertex colours. wear() sets what differs between coats.
+        first = self.paints(index)[0]
+        color = n.add("ShaderNodeRGB", name="factor").outputs["Color"]
+        if first["texture"] >= 0:
+            color = n.vector("MULTIPLY", color, self.texture(n, first["texture"], "srgb" if surface == "principled" else "linear", "coat").outputs["Color"])
+        if first["vertex_colors"] and any(i["colors"] for i in self.export.data["instances"]):
+            color = n.vector("MULTIPLY", color, n.attribute(COLOR)["Vector"])
+
+        if surface == "diffuse":
+            shader = n.add("ShaderNodeBsdfDiffuse")
+            n.set(shader.inputs["Color"], color)
+            n.set(shader.inputs["Roughness"], 0.0)
+            closure = shader.outputs["BSDF"]
+        else:
+            closure = self.shiny(n, surface, m, color)
+        if m["alpha_cutoff"] >= 0:
+            alpha = m["alpha"]
+            if m["alpha_texture"] >= 0:
+                alpha = n.math("MULTIPLY", self.texture(n, m["alpha_texture"], "data").outputs["Alpha"], alpha)
+            mix = n.add("ShaderNodeMixShader")
+            n.set(mix.inputs["Fac"], n.math("LESS_THAN", alpha, m["alpha_cutoff"]))
+            n.set(mix.inputs[1], closure)
+            n.set(mix.inputs[2], n.add("ShaderNodeBsdfTransparent").outputs["BSDF"])
+            closure = mix.outputs["Shader"]
+        n.set(output.inputs["Surface"], closure)
+        return material
+
+    def shiny(self, n, surface, m, color):
+        roughness, metallic = m["roughness"], m["metallic"]
+        if m["metallic_roughness_texture"] >= 0:
+            channels = n.split(self.texture(n, m["metallic_roughness_texture"], "data").outputs["Color"])
+            roughness = n.math("MULTIPLY", channels["Green"], roughness)
+            metallic = n.math("MULTIPLY", channels["Blue"], metallic) if metallic > 0 else 0.0
+        normal = None
+        if m["normal_texture"] >= 0:
+            texel = self.texture(n, m["normal_texture"], "data").outputs["Color"]
+            normal = self.blender_normal(n, m, texel) if surface == "principled" else self.normal(n, m, texel)
+        if surface == "principled":
+            shader = self.principled(n, color, roughness, metallic, normal)
+            return shader.outputs["BSDF"]
+
+        geometry = n.add("ShaderNodeNewGeometry")
+        roughness = n.math("MAXIMUM", roughness, math.sqrt(1e-3))  # moomill's smallest alpha
+        facing = n.math("MAXIMUM", n.vector("DOT_PRODUCT", normal if normal else geometry.outputs["Normal"], geometry.outputs["Incoming"]), 0.0)
+        if self.albedo is None:
+            table = specular_albedo()
+            pixels = numpy.ones(table.shape + (4,), dtype=numpy.float32)
+            pixels[..., :3] = table[::-1, :, None]  # row of roughness 0 at the bottom, where v is 0
+            self.albedo = new_image("specular_albedo", pixels, "Non-Color", True)
+        place = n.add("ShaderNodeCombineXYZ")
+        n.set(place.inputs["X"], n.math("DIVIDE", n.math("ADD", n.math("MULTIPLY", n.math("SQRT", facing), 63.0), 0.5), 64.0))
+        n.set(place.inputs["Y"], n.math("DIVIDE", n.math("ADD", n.math("MULTIPLY", roughness, 64.0), 0.5), 65.0))
+        albedo = n.image(self.albedo, None, "EXTEND")
+        n.set(albedo.inputs["Vector"], place.outputs["Vector"])
+        left = n.math("SUBTRACT", 1.0, n.split(albedo.outputs["Color"])["Red"])
+        matt = n.add("ShaderNodeBsdfDiffuse")
+        n.set(matt.inputs["Color"], n.scale(color, left))
+        n.set(matt.inputs["Roughness"], 0.0)
+        if normal:
+            n.set(matt.inputs["Normal"], normal)
+        both = n.add("ShaderNodeAddShader")
+        n.set(both.inputs[0], matt.outputs["BSDF"])
+        n.set(both.inputs[1], self.principled(n, (0.0, 0.0, 0.0), roughness, 0.0, normal).outputs["BSDF"])
+        if not isinstance(metallic, bpy.types.NodeSocket) and metallic == 0:
+            return both.outputs["Shader"]
+        mix = n.add("ShaderNodeMixShader")
+        n.set(mix.inputs["Fac"], metallic)
+        n.set(mix.inputs[1], both.outputs["Shader"])
+        metal = self.principled(n, color, roughness, 1.0, normal, "MULTI_GGX")
+        # Cycles blends metals to white by the Fresnel curve of an IOR, moomill by Schlick's; at 1.44 both have one average, 1/21.
+        n.set(metal.inputs["Specular"], 0.41)
+        n.set(mix.inputs[2], metal.outputs["BSDF"])
+        return mix.outputs["Shader"]
+
+    @staticmethod
+    def principled(n, color, roughness, metallic, normal, distribution="GGX"):
+        shader = n.add("ShaderNodeBsdfPrincipled", distribution=distribution)
+        n.set(shader.inputs["Base Color"], color)
+        n.set(shader.inputs["Roughness"], roughness)
+        n.set(shader.inputs["Metallic"], metallic)
+        n.set(shader.inputs["Specular"], 0.5)  # a reflectance of 0.04 head on: IOR 1.5
+        n.set(shader.inputs["Sheen"], 0.0)
+        n.set(shader.inputs["Clearcoat"], 0.0)
+        if normal:
+            n.set(shader.inputs["Normal"], normal)
+        return shader
+
+    @staticmethod
+    def blender_normal(n, m, texel):
+        node = n.add("ShaderNodeNormalMap", space="TANGENT", uv_map="uv0")
+        n.set(node.inputs["Strength"], m["normal_scale"])
+        n.set(node.inputs["Color"], texel)
+        return node.outputs["Normal"]
+
+    @staticmethod
+    def normal(n, m, texel):
+        """moomill's frame: x along u of the triangle, made square to the shading normal (Blender's node would take MikkTSpace's,
+        smoothed over vertices)."""
+        up = n.add("ShaderNodeNewGeometry").outputs["Normal"]
+        tangent = n.attribute(TANGENT)["Vector"]
+        x = n.vector("NORMALIZE", n.vector("SUBTRACT", tangent, n.scale(up, n.vector("DOT_PRODUCT", up, tangent))))
+        y = n.scale(n.vector("CROSS_PRODUCT", up, x), n.attribute(SIDE)["Fac"])
+        local = n.vector("SUBTRACT", n.scale(texel, 2.0), (1.0, 1.0, 1.0))
+        part = n.add("ShaderNodeSeparateXYZ")
+        n.set(part.inputs["Vector"], local)
+        across = n.vector("ADD", n.scale(x, n.math("MULTIPLY", part.outputs["X"], m["normal_scale"])),
+                          n.scale(y, n.math("MULTIPLY", part.outputs["Y"], m["normal_scale"])))
+        return n.vector("NORMALIZE", n.vector("ADD", across, n.scale(up, part.outputs["Z"])))
+
+    def wear(self, surface, coat):
+        """Dresses every material of this surface in the coat at this place of the exported list."""
+        for (s, index), material in self.made.items():
+            if s != surface:
+                continue
+            paint = self.paints(index)[coat]
+            material.node_tree.nodes["factor"].outputs["Color"].default_value = list(paint["factor"]) + [1.0]
+            if paint["texture"] >= 0:
+                material.node_tree.nodes["coat"].image = self.images.get(paint["texture"], "srgb" if surface == "principled" else "linear")
+
+
+# --- geometry, cameras, lights ---
+
+def build_mesh(export, instance, number, materials):
+    vertices, triangles = instance["vertices"], instance["triangles"]
+    positions = export.array(instance["positions"], numpy.float32, vertices, 3)
+    faces = export.array(instance["faces"], numpy.uint32, triangles, 3)
+    mesh = bpy.data.meshes.new(f"instance{number}")
+    mesh.vertices.add(vertices)
+    mesh.vertices.foreach_set("co", positions.ravel())
+    mesh.loops.add(3 * triangles)
+    mesh.loops.foreach_set("vertex_index", faces.astype(numpy.int32).ravel())
+    mesh.polygons.add(triangles)
+    mesh.polygons.foreach_set("loop_start", numpy.arange(0, 3 * triangles, 3, dtype=numpy.int32))
+    mesh.polygons.foreach_set("loop_total", numpy.full(triangles, 3, dtype=numpy.int32))
+    mesh.polygons.foreach_set("material_index", export.array(instance["face_materials"], numpy.uint16, triangles).astype(numpy.int32))
+    mesh.polygons.foreach_set("use_smooth", numpy.ones(triangles, dtype=bool))
+    mesh.update(calc_edges=True)
+
+    def attribute(name, kind, domain, values, member):
+        mesh.attributes.new(name, kind, domain).data.foreach_set(member, numpy.ascontiguousarray(values, dtype=numpy.float32).ravel())
+
+    if instance["nnopcs"]:
+        attribute(AOV, "FLOAT_VECTOR", "POINT", export.array(instance["nnopcs"], numpy.float32, vertices, 3), "vector")
+    if instance["colors"]:
+        attribute(COLOR, "FLOAT_VECTOR", "POINT", export.array(instance["colors"], numpy.float32, vertices, 3), "vector")
+    if instance["uvs"]:
+        uv = export.array(instance["uvs"], numpy.float32, vertices, 2).astype(numpy.float64)
+        for k, p in enumerate(materials.placements):
+            q = uv * p["scale"]
+            c, s = math.cos(p["rotation"]), math.sin(p["rotation"])
+            q = numpy.stack([c * q[:, 0] + s * q[:, 1], -s * q[:, 0] + c * q[:, 1]], axis=1) + p["offset"]
+            q[:, 1] = 1 - q[:, 1]  # glTF counts v from the top, Blender from the bottom
+            mesh.uv_layers.new(name=f"uv{k}").data.foreach_set("uv", q[faces.ravel()].astype(numpy.float32).ravel())
+        corner, edge1, edge2 = (positions[faces[:, 0]].astype(numpy.float64), positions[faces[:, 1]], positions[faces[:, 2]])
+        edge1, edge2 = edge1 - corner, edge2 - corner
+        d1, d2 = uv[faces[:, 1]] - uv[faces[:, 0]], uv[faces[:, 2]] - uv[faces[:, 0]]
+        det = d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]
+        sign = numpy.where(det < 0, -1.0, 1.0)
+        tangent = (edge1 * d2[:, 1:] - edge2 * d1[:, 1:]) * sign[:, None]
+        # Tiny triangles in a tiny atlas would give tangents of 1e-12, which nodes take for nothing.
+        tangent /= numpy.maximum(numpy.linalg.norm(tangent, axis=1), 1e-30)[:, None]
+        attribute(TANGENT, "FLOAT_VECTOR", "FACE", tangent, "vector")
+        attribute(SIDE, "FLOAT", "FACE", -sign, "value")
+    mesh.use_auto_smooth = True  # or custom normals would not be used
+    mesh.normals_split_custom_set_from_vertices(export.array(instance["normals"], numpy.float32, vertices, 3).tolist())
+    thing = bpy.data.objects.new(f"instance{number}", mesh)
+    thing.pass_index = number + 1
+    thing.cycles.shadow_terminator_offset = 0.0
+    thing.cycles.shadow_terminator_geometry_offset = 0.0
+    bpy.context.scene.collection.objects.link(thing)
+    return thing
+
+
+def place_camera(scene, camera, scale):
+    """OpenCV's K and world_to_camera to Blender's camera (-Z forward, +Y up; lens, sensor and shift in widths)."""
+    width, height = camera["width"], camera["height"]
+    fx, fy, cx, cy = camera["fx"], camera["fy"], camera["cx"], camera["cy"]
+    data, thing = scene.camera.data, scene.camera
+    scene.render.resolution_x, scene.render.resolution_y = width * scale, height * scale
+    scene.render.resolution_percentage = 100
+    scene.render.pixel_aspect_x = max(1.0, fy / fx)
+    scene.render.pixel_aspect_y = max(1.0, fx / fy)
+    data.type = "PERSP"
+    data.sensor_fit = "HORIZONTAL"
+    data.sensor_width = 36.0
+    data.lens = fx * data.sensor_width / width
+    data.shift_x = 0.5 - cx / width
+    # Shifts count in widths of the picture, also upwards, with pixels as they are on the sensor.
+    data.shift_y = (cy - 0.5 * height) / width * (scene.render.pixel_aspect_y / scene.render.pixel_aspect_x)
+    data.clip_start, data.clip_end = 1e-3, 1e6
+    data.dof.use_dof = False
+    m = numpy.array(camera["world_to_camera"], dtype=numpy.float64).reshape(3, 4)
+    world = numpy.eye(4)
+    world[:3, :3] = m[:, :3].T @ numpy.diag([1.0, -1.0, -1.0])
+    world[:3, 3] = -m[:, :3].T @ m[:, 3]
+    thing.matrix_world = Matrix(world.tolist())  # nested lists would be taken for columns
+
+
+def build_lights(export, lights):
+    """Of one view; takes the place of those there were."""
+    scene = bpy.context.scene
+    for thing in [o for o in scene.objects if o.type == "LIGHT"]:
+        data = thing.data
+        bpy.data.objects.remove(thing)
+        bpy.data.lights.remove(data)
+    world = scene.world or bpy.data.worlds.new("sky")
+    scene.world = world
+    world.use_nodes = True
+    world.node_tree.nodes.clear()
+    n = Nodes(world.node_tree)
+    background = n.add("ShaderNodeBackground")
+    n.set(n.add("ShaderNodeOutputWorld").inputs["Surface"], background.outputs["Background"])
+    n.set(background.inputs["Strength"], 1.0)
+    sky = lights["environment"]
+    if sky["map"]:
+        e = sky["map"]
+        rgb = export.array(e["file"], numpy.float32, e["height"], e["width"], 3)
+        pixels = numpy.ones(rgb.shape[:2] + (4,), dtype=numpy.float32)
+        pixels[..., :3] = rgb
+        texture = n.add("ShaderNodeTexEnvironment", image=new_image("sky", pixels, "Non-Color", True), interpolation="Closest", projection="EQUIRECTANGULAR")
+        # moomill: u = (azimuth + 90 deg - yaw) / 360 deg + 1/2; Blender: u = 1/2 - azimuth / 360 deg. So mirror y, then turn.
+        mapping = n.add("ShaderNodeMapping", vector_type="POINT")
+        n.set(mapping.inputs["Vector"], n.add("ShaderNodeTexCoord").outputs["Generated"])
+        n.set(mapping.inputs["Scale"], (1.0, -1.0, 1.0))
+        n.set(mapping.inputs["Rotation"], (0.0, 0.0, sky["yaw_rad"] - math.pi / 2))
+        n.set(texture.inputs["Vector"], mapping.outputs["Vector"])
+        n.set(background.inputs["Color"], texture.outputs["Color"])
+        world.cycles.sampling_method = "MANUAL"
+        world.cycles.sample_map_resolution = e["width"]
+    else:
+        n.set(background.inputs["Color"], sky["constant"])
+        world.cycles.sampling_method = "NONE"  # even: left to BSDF sampling, as moomill does
+
+    def add(name, kind, color, z_axis, place):
+        data = bpy.data.lights.new(name, kind)
+        strength = max(color)
+        data.color = [c / strength for c in color] if strength > 0 else (0, 0, 0)
+        data.cycles.use_multiple_importance_sampling = True
+        data.cycles.max_bounces = 1024
+        thing = bpy.data.objects.new(name, data)
+        thing.visible_camera = False
+        # Lights of Blender shine along -Z.
+        z = numpy.array(z_axis, dtype=numpy.float64)
+        z /= numpy.linalg.norm(z)
+        x = place.get("x")
+        if x is None:
+            x = numpy.cross([0.0, 1.0, 0.0] if abs(z[2]) > 0.9 else [0.0, 0.0, 1.0], z)
+        x = numpy.array(x, dtype=numpy.float64) / numpy.linalg.norm(x)
+        world_matrix = numpy.eye(4)
+        world_matrix[:3, :3] = numpy.stack([x, numpy.cross(z, x), z], axis=1)
+        world_matrix[:3, 3] = place.get("centre", (0, 0, 0))
+        thing.matrix_world = Matrix(world_matrix.tolist())
+        scene.collection.objects.link(thing)
+        return data, strength
+
+    for i, s in enumerate(lights["suns"]):
+        data, strength = add(f"sun{i}", "SUN", s["irradiance"], s["direction"], {})
+        data.energy = strength  # W/m^2 on a surface that faces it
+        data.angle = 2 * s["angular_radius_rad"]
+    for i, r in enumerate(lights["rectangles"]):
+        u, v = numpy.array(r["edge_u"]), numpy.array(r["edge_v"])
+        data, strength = add(f"rectangle{i}", "AREA", r["radiance"], -numpy.cross(u, v),
+                             {"x": u, "centre": numpy.array(r["corner"]) + 0.5 * (u + v)})
+        data.shape = "RECTANGLE"
+        data.size, data.size_y = float(numpy.linalg.norm(u)), float(numpy.linalg.norm(v))
+        data.energy = 4 * strength * data.size * data.size_y  # Cycles makes a radiance of energy / (4 area)

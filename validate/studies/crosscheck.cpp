@@ -1,0 +1,308 @@
+#include "validate/studies/crosscheck.h"
+
+#include <fcntl.h>
+#include <spawn.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <chrono>
+#include <cstring>
+
+#include "generator/core/data_root.h"
+#include "generator/core/error.h"
+#include "generator/dataset/codecs.h"
+#include "generator/dataset/json.h"
+
+extern char** environ;
+
+namespace moomill {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr CheckedSurface surfaces[] = {CheckedSurface::diffuse, CheckedSurface::full};
+constexpr double picture_gain = 8;  // of the differences in pictures
+
+std::string join(const std::vector<int>& numbers) {
+  return fmt::format("{}", fmt::join(numbers, ","));
+}
+
+// Runs a program with its output in `log`; its exit status, or 128 + the signal that ended it.
+int run_logged(const std::vector<std::string>& words, const fs::path& log) {
+  posix_spawn_file_actions_t actions;
+  posix_spawn_file_actions_init(&actions);
+  posix_spawn_file_actions_addopen(&actions, 0, "/dev/null", O_RDONLY, 0);
+  posix_spawn_file_actions_addopen(&actions, 1, log.c_str(), O_WRONLY | O_CREAT | O_TRUNC, 0644);
+  posix_spawn_file_actions_adddup2(&actions, 1, 2);
+  std::vector<char*> arguments;
+  for (const std::string& w : words) arguments.push_back(const_cast<char*>(w.c_str()));
+  arguments.push_back(nullptr);
+  pid_t child = 0;
+  const int failed = posix_spawn(&child, arguments[0], &actions, nullptr, arguments.data(), environ);
+  posix_spawn_file_actions_destroy(&actions);
+  if (failed) run_error("{} cannot be started: {}", words[0], std::strerror(failed));
+  int status = 0;
+  while (waitpid(child, &status, 0) < 0)
+    if (errno != EINTR) run_error("{} was lost: {}", words[0], std::strerror(errno));
+  return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+}
+
+void run_blender(const CrosscheckOptions& options, const fs::path& folder, const std::vector<std::string>& more) {
+  const fs::path program = find_program(options.blender);
+  if (program.empty())
+    input_error("{} is not there; install Blender 3.4 (section crosscheck of apt-packages.txt) or say where it is by --blender", options.blender);
+  const fs::path script = data_root() / "validate" / "blender" / "crosscheck.py";
+  if (!fs::exists(script)) input_error("{} is not there; set MOOMILL_HOME to the folder that holds validate/", script.string());
+  std::vector<std::string> words = {program.string(), "-b", "--factory-startup", "--python-exit-code", "1", "-P", script.string(), "--",
+                                    folder.string(), "--threads", std::to_string(options.threads), "--launched", fmt::format("{:.3f}", std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count())};
+  words.insert(words.end(), more.begin(), more.end());
+  const fs::path log = folder / "blender.log";
+  if (const int status = run_logged(words, log); status != 0)
+    run_error("Blender ended with status {}; its last words are in {}", status, log.string());
+}
+
+// A plane of Blender's file: "View.Depth.Z" and the like, whatever the layer is called.
+const std::vector<float>& plane(const ExrImage& image, const std::string& suffix, const fs::path& file) {
+  for (std::size_t c = 0; c < image.names.size(); ++c)
+    if (image.names[c].ends_with(suffix)) return image.data[c];
+  run_error("{} has no channel {}; look at blender.log beside its folder", file.string(), suffix);
+}
+
+LabelMaps labels_of_cycles(const fs::path& file, const Scene& scene, int width, int height, int scale) {
+  const ExrImage exr = decode_exr(file);
+  if (exr.width != width * scale || exr.height != height * scale) run_error("{} is {} x {}, not {} x {}", file.string(), exr.width, exr.height, width * scale, height * scale);
+  const auto &index = plane(exr, ".IndexOB.X", file), &depth = plane(exr, ".Depth.Z", file);
+  const std::vector<float>* nnopcs[3] = {&plane(exr, ".nnopcs.R", file), &plane(exr, ".nnopcs.G", file), &plane(exr, ".nnopcs.B", file)};
+  LabelMaps out{width, height, {}, {}, {}};
+  for (int y = 0; y < height; ++y)
+    for (int x = 0; x < width; ++x) {
+      const std::size_t p = (static_cast<std::size_t>(y) * scale + scale / 2) * exr.width + static_cast<std::size_t>(x) * scale + scale / 2;
+      const auto object = static_cast<std::size_t>(std::lround(index[p]));
+      const int animal = object == 0 || object > scene.instances.size() ? -1 : scene.instances[object - 1].animal;
+      out.animal.push_back(static_cast<std::uint32_t>(animal + 1));
+      out.depth.push_back(depth[p]);
+      for (const auto* c : nnopcs) out.nnopcs.push_back((*c)[p]);
+    }
+  return out;
+}
+
+LabelMaps labels_of_ours(const View& view) {
+  const Map *instance = view.find(Modality::instance), *depth = view.find(Modality::depth), *nnopcs = view.find(Modality::nnopcs);
+  check(instance && depth && nnopcs, "the cross-check asks for these maps");
+  return {view.width, view.height, instance->u.data, depth->f.data, nnopcs->f.data};
+}
+
+ImageF colors_of_cycles(const fs::path& file) {
+  const ExrImage exr = decode_exr(file);
+  ImageF out(exr.width, exr.height, 4);
+  static constexpr const char* suffix[] = {".Combined.R", ".Combined.G", ".Combined.B", ".Combined.A"};
+  for (int k = 0; k < 4; ++k) {
+    const auto& values = plane(exr, suffix[k], file);
+    for (std::size_t p = 0; p < values.size(); ++p) out.data[4 * p + k] = values[p];
+  }
+  return out;
+}
+
+fs::path cycles_file(const fs::path& folder, const char* surface, int camera, int coat, int samples) {
+  return folder / "cycles" / fmt::format("rgb_{}_{:03}_{:03}_{}.exr", surface, camera, coat, samples);
+}
+
+void write_png(const fs::path& file, const Image8& image) {
+  const auto bytes = encode_png8(image);
+  write_file_atomically(file, bytes.data(), bytes.size());
+}
+
+// The frame, its cameras and its coats, ready for both renderers.
+struct Prepared {
+  std::unique_ptr<Mill> mill;
+  Frame frame;
+  std::shared_ptr<const Dressed> dressed;
+};
+
+Prepared prepare(const SceneSpec& scene, const CrosscheckOptions& options) {
+  if (find_program(options.blender).empty())  // said before anything is baked
+    input_error("there is no Blender: {} is not on the PATH; install it (section crosscheck of apt-packages.txt) or say where it is by --blender", options.blender);
+  if (options.label_scale < 1 || options.label_scale % 2 == 0) input_error("--label-scale {}: an odd number, or no pixel centre stays one", options.label_scale);
+  SceneSpec spec = scene;
+  Overrides only;
+  only.modalities = {"rgb", "instance", "depth", "nnopcs"};
+  only.first_frame = only.last_frame = options.frame.value_or(scene.frames.front());
+  apply_overrides(spec, only);
+  Prepared p;
+  const int frame = spec.frames.front();
+  p.mill = std::make_unique<Mill>(std::move(spec));
+  if (p.mill->batches() != 1) input_error("--coats: at most 32 coats are compared at a time, and as many as render.memory_mb holds; name fewer");
+  p.frame = p.mill->prepare(frame);
+  p.dressed = p.mill->dress(p.frame, 0);
+  return p;
+}
+
+// What is summed up over views.
+struct Totals {
+  LabelDifference labels;
+  double mean[2] = {0, 0}, block[2] = {0, 0}, alpha = 0, our_seconds = 0;
+};
+
+void add(LabelDifference& sum, const LabelDifference& d) {
+  sum.pixels += d.pixels;
+  sum.differing += d.differing;
+  sum.unexplained += d.unexplained;
+  sum.compared += d.compared;
+  sum.depth_off += d.depth_off;
+  sum.nnopcs_off += d.nnopcs_off;
+  sum.farthest = std::max(sum.farthest, d.farthest);
+  sum.depth_worst = std::max(sum.depth_worst, d.depth_worst);
+  sum.nnopcs_worst = std::max(sum.nnopcs_worst, d.nnopcs_worst);
+}
+
+double share_within(std::uint64_t off, std::uint64_t of) {
+  return of == 0 ? std::numeric_limits<double>::quiet_NaN() : 1 - static_cast<double>(off) / static_cast<double>(of);
+}
+
+}  // namespace
+
+fs::path find_program(const std::string& name) {
+  const auto runs = [](const fs::path& p) { return fs::is_regular_file(p) && access(p.c_str(), X_OK) == 0; };
+  if (name.find('/') != std::string::npos) return runs(name) ? fs::path(name) : fs::path();
+  const char* path = std::getenv("PATH");
+  std::string folders = path ? path : "";
+  for (std::size_t at = 0; at <= folders.size();) {
+    const std::size_t end = std::min(folders.find(':', at), folders.size());
+    const fs::path candidate = fs::path(folders.substr(at, end - at)) / name;
+    if (end > at && runs(candidate)) return candidate;
+    at = end + 1;
+  }
+  return {};
+}
+
+StudyResult crosscheck(const SceneSpec& scene, const CrosscheckOptions& options) {
+  const Prepared p = prepare(scene, options);
+  const std::vector<int>& coats = p.dressed->coats;
+  const int samples = p.mill->spec().render.samples;
+  export_crosscheck(*p.mill, p.frame, *p.dressed, options.out);
+  run_blender(options, options.out,
+              {"--labels", "--label-scale", std::to_string(options.label_scale), "--surface", "diffuse,full", "--spp", std::to_string(samples)});
+
+  Totals totals;
+  std::string csv = "frame,camera,coat,surface,quantity,value,unit\n";
+  std::string labels = "| camera | pixels | silhouette differs | farther than 0.01 px | farthest, px | depth within 1e-4 m | worst, m | median, m | NNOPCS within 1e-4 | worst | median |\n"
+                       "|---|---|---|---|---|---|---|---|---|---|---|\n";
+  std::string colors = "| surface | camera | coat | ours R, G, B | Cycles R, G, B | worst of the means | alpha | rms of pixels | worst 16 x 16 block | rms of blocks |\n"
+                       "|---|---|---|---|---|---|---|---|---|---|\n";
+  for (const CameraRecord& camera : p.frame.cameras) {
+    const LabelMaps ours = labels_of_ours(p.mill->trace_labels(p.frame, camera));
+    const LabelMaps theirs = labels_of_cycles(options.out / "cycles" / fmt::format("labels_{:03}.exr", camera.id), p.frame.geometry->scene, camera.width, camera.height, options.label_scale);
+    const LabelDifference d = compare_labels(ours, theirs, outlines_in_view(p.frame.geometry->scene, camera));
+    add(totals.labels, d);
+    write_png(options.out / fmt::format("labels_{:03}.png", camera.id), label_sheet(ours, theirs));
+    labels += fmt::format("| {} | {} | {} | {} | {:.4f} | {:.5f} | {:.3g} | {:.3g} | {:.5f} | {:.3g} | {:.3g} |\n", camera.id, d.pixels, d.differing, d.unexplained, d.farthest,
+                          share_within(d.depth_off, d.compared), d.depth_worst, d.depth_median, share_within(d.nnopcs_off, d.compared), d.nnopcs_worst, d.nnopcs_median);
+    auto row = [&](int coat, const char* surface, const char* quantity, double value, const char* unit) {
+      csv += fmt::format("{},{},{},{},{},{:.9g},{}\n", p.frame.number, camera.id, coat < 0 ? "" : std::to_string(coat), surface, quantity, value, unit);
+    };
+    row(-1, "", "pixels", static_cast<double>(d.pixels), "pixels");
+    row(-1, "", "silhouette differs", static_cast<double>(d.differing), "pixels");
+    row(-1, "", "silhouette differs farther than 0.01 px from an outline", static_cast<double>(d.unexplained), "pixels");
+    row(-1, "", "farthest differing pixel", d.farthest, "px");
+    row(-1, "", "depth within 1e-4 m", share_within(d.depth_off, d.compared), "");
+    row(-1, "", "depth median difference", d.depth_median, "m");
+    row(-1, "", "nnopcs within 1e-4", share_within(d.nnopcs_off, d.compared), "");
+    row(-1, "", "nnopcs median difference", d.nnopcs_median, "");
+
+    for (const CheckedSurface surface : surfaces) {
+      const auto start = std::chrono::steady_clock::now();
+      const View view = p.mill->trace_coats(p.frame, camera, with_surface(*p.dressed, surface));
+      totals.our_seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+      for (const int coat : coats) {
+        const char* name = name_of(surface);
+        const ImageF& a = view.find(Modality::rgb, coat)->f;
+        const ImageF b = colors_of_cycles(cycles_file(options.out, name, camera.id, coat, samples));
+        const ColorDifference c = compare_colors(a, b);
+        const int s = static_cast<int>(surface);
+        totals.mean[s] = std::max(totals.mean[s], c.worst_mean);
+        totals.block[s] = std::max(totals.block[s], c.block_rms);
+        totals.alpha = std::max(totals.alpha, std::abs(c.alpha));
+        write_png(options.out / fmt::format("rgb_{}_{:03}_{:03}.png", name, camera.id, coat), difference_sheet(a, b, picture_gain));
+        colors += fmt::format("| {} | {} | {} | {:.5f}, {:.5f}, {:.5f} | {:.5f}, {:.5f}, {:.5f} | {:.4f} | {:+.5f} | {:.4f} | {:.4f} | {:.4f} |\n", name, camera.id, coat, c.ours.x, c.ours.y,
+                              c.ours.z, c.theirs.x, c.theirs.y, c.theirs.z, c.worst_mean, c.alpha, c.rms, c.block_worst, c.block_rms);
+        static constexpr const char* channel[] = {"mean R", "mean G", "mean B"};
+        for (int k = 0; k < 3; ++k) row(coat, name, channel[k], c.ours[k] / c.theirs[k] - 1, "relative");
+        row(coat, name, "alpha", c.alpha, "relative");
+        row(coat, name, "rms of pixels", c.rms, "relative");
+        row(coat, name, "rms of 16 x 16 blocks", c.block_rms, "relative");
+      }
+    }
+  }
+
+  const Json told = parse_json_file(options.out / "cycles" / "build.json");
+  double seconds = 0, core_seconds = 0;
+  for (const Json& r : told.at("renders")) {
+    seconds += r.at("wall_seconds").get<double>();
+    core_seconds += r.at("core_seconds").get<double>();
+  }
+  StudyResult result;
+  result.title = fmt::format("Cross-check of frame {} of {} against Blender {}", p.frame.number, fs::path(scene.file).filename().string(), told.at("blender").get<std::string>());
+  const LabelDifference& l = totals.labels;
+  result.figures = {
+      {"silhouette: pixels that either sees", static_cast<double>(l.pixels), "pixels", {}, 1.0},
+      {"silhouette: pixels that differ", static_cast<double>(l.differing), "pixels", {}, {}},
+      {"silhouette: of those farther than 0.01 px from an outline", static_cast<double>(l.unexplained), "pixels", 0.0, {}},
+      {"silhouette: farthest differing pixel from an outline", l.farthest, "px", {}, {}},
+      {"depth: share within 1e-4 m", share_within(l.depth_off, l.compared), "", {}, 0.999},
+      {"NNOPCS: share within 1e-4", share_within(l.nnopcs_off, l.compared), "", {}, 0.999},
+      {"diffuse: worst difference of mean colours", totals.mean[0], "", 0.005, {}},
+      {"full: worst difference of mean colours", totals.mean[1], "", 0.03, {}},
+      {"diffuse: worst rms of 16 x 16 blocks", totals.block[0], "", {}, {}},
+      {"full: worst rms of 16 x 16 blocks", totals.block[1], "", {}, {}},
+      {"alpha: worst difference of means", totals.alpha, "", 0.005, {}},
+      {"time of Cycles, matched surfaces, all renders", seconds, "s", {}, {}},
+      {"time of Cycles, matched surfaces, all renders, all cores", core_seconds, "s", {}, {}},
+      {"time of moomill, all renders", totals.our_seconds, "s", {}, {}},
+  };
+  result.table = fmt::format("# {}\n\n{} x {}, {} samples a pixel, cameras {}, coats {}. Conventions: validate/blender/README.md.\n\n## Labels\n\n{}\n## Colours\n\n"
+                             "Means of linear colour over the pixels with alpha; differences relative to Cycles. Blocks hold noise as well: at these samples rms of pixels / 16.\n\n{}",
+                             result.title, p.frame.cameras[0].width, p.frame.cameras[0].height, samples,
+                             [&] { std::vector<int> ids; for (const auto& c : p.frame.cameras) ids.push_back(c.id); return join(ids); }(), join(coats), labels, colors);
+  write_file_atomically(options.out / "crosscheck.csv", csv);
+  write_file_atomically(options.out / "crosscheck.md", result.table);
+  return result;
+}
+
+StudyResult time_cycles(const SceneSpec& scene, const CrosscheckOptions& options) {
+  const Prepared p = prepare(scene, options);
+  export_crosscheck(*p.mill, p.frame, *p.dressed, options.out);
+  std::vector<int> samples = options.timing_samples;
+  if (options.reference_samples > 0) samples.push_back(options.reference_samples);
+  run_blender(options, options.out, {"--surface", "principled", "--spp", join(samples)});
+
+  const Json told = parse_json_file(options.out / "cycles" / "build.json");
+  StudyResult result;
+  result.title = fmt::format("Run times of Blender {} on frame {} of {}, {} threads", told.at("blender").get<std::string>(), p.frame.number, fs::path(scene.file).filename().string(),
+                             told.at("threads").get<int>());
+  std::string csv = "renderer,frame,camera,coat,spp,seconds,core_seconds,mse,relative_mse,ciede2000\n";
+  result.table = fmt::format("# {}\n\nStart {:.2f} s and building of the scene {:.2f} s are not in the rows; what Cycles says it took to synchronise is in `seconds`.\n\n"
+                             "| camera | coat | spp | seconds | core seconds | synchronised, s | mse | relative mse | CIEDE2000 |\n|---|---|---|---|---|---|---|---|---|\n",
+                             result.title, told.at("start_seconds").get<double>(), told.at("build_seconds").get<double>());
+  double seconds = 0, core_seconds = 0;
+  for (const Json& r : told.at("renders")) {
+    const int camera = r.at("camera"), coat = r.at("coat"), spp = r.at("spp");
+    std::string error = ",,";
+    if (options.reference_samples > 0 && spp != options.reference_samples) {
+      const auto picture = [&](int n) { return colors_of_cycles(cycles_file(options.out, "principled", camera, coat, n)); };
+      const ImageError e = image_error(picture(spp), picture(options.reference_samples));
+      error = fmt::format("{:.9g},{:.9g},{:.9g}", e.mse, e.relative_mse, e.ciede2000);
+    }
+    const double wall = r.at("wall_seconds"), cores = r.at("core_seconds");
+    seconds += wall;
+    core_seconds += cores;
+    csv += fmt::format("cycles,{},{},{},{},{:.4f},{:.4f},{}\n", p.frame.number, camera, coat, spp, wall, cores, error);
+    std::string cells = error;
+    for (std::size_t at = 0; (at = cells.find(',', at)) != std::string::npos; at += 3) cells.replace(at, 1, " | ");
+    result.table += fmt::format("| {} | {} | {} | {:.3f} | {:.3f} | {:.3f} | {} |\n", camera, coat, spp, wall, cores, r.value("synchronization_time", 0.0), cells);
+  }
+  result.figures = {{"seconds of all renders", seconds, "s", {}, {}}, {"core seconds of all renders", core_seconds, "s", {}, {}}};
+  write_file_atomically(options.out / "cycles.csv", csv);
+  return result;
+}
+
+}  // namespace moomill
