@@ -83,7 +83,7 @@ Environment::Environment(ImageF map, const std::string& name, float strength, do
 }
 
 glm::ivec2 Environment::texel(const vec3& d) const {
-  float u = std::atan2(d.x, -d.y) / (2.0f * pi_f) + 0.5f - yaw_turns_;
+  float u = std::atan2(-d.x, -d.y) / (2.0f * pi_f) + 0.5f + yaw_turns_;
   u -= std::floor(u);
   const float v = std::acos(std::clamp(d.z, -1.0f, 1.0f)) / pi_f;
   return {std::min(static_cast<int>(u * map_.width), map_.width - 1),
@@ -105,8 +105,8 @@ LightSample Environment::sample(const vec2& u) const {
   // Within a row, uniform in cos(theta): its pixels then have exactly their solid angles.
   const float top = std::cos(pi_f * y / h), bottom = std::cos(pi_f * (y + 1) / h);
   const float z = top + (bottom - top) * fy, sine = std::sqrt(std::max(0.0f, 1.0f - z * z));
-  const float phi = 2.0f * pi_f * ((x + fx) / w - 0.5f + yaw_turns_);
-  s.direction = {sine * std::sin(phi), -sine * std::cos(phi), z};
+  const float phi = 2.0f * pi_f * ((x + fx) / w - 0.5f - yaw_turns_);
+  s.direction = {-sine * std::sin(phi), -sine * std::cos(phi), z};
   s.distance = infinity;
   const float* p = &map_.data[map_.index(x, y)];
   s.radiance = {p[0], p[1], p[2]};

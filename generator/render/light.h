@@ -17,8 +17,8 @@ struct LightSample {
   float pdf = 0;          // solid angle; 0: nothing drawn
 };
 
-// Radiance from all directions: a constant, or an equirectangular map with +Z up whose centre column is -Y turned by
-// yaw. The map is looked up without filtering, so the tabulated density is proportional to it.
+// Radiance from all directions: a constant, or an equirectangular map with +Z up, seen from inside as panoramas are: its centre column is -Y turned
+// by yaw, columns to the right of it lie to the right. The map is looked up without filtering, so the tabulated density is proportional to it.
 class Environment {
  public:
   Environment() = default;

@@ -126,6 +126,25 @@ TEST_CASE("environment map: chi-squared and unit mass, with a black row and a ve
   }
 }
 
+TEST_CASE("environment map: a panorama seen from inside, not mirrored, turned counterclockwise by yaw") {
+  ImageF map(8, 4, 3, 0.1f);
+  for (int c = 0; c < 3; ++c) map.at(5, 1, c) = 9;  // right of the centre by 1.5 columns of 45 degrees, above the horizon
+  const Environment env(map, "test", 1.0f, 0.0), turned(map, "test", 1.0f, 90 * degrees);
+  const auto at = [](double azimuth_deg) {  // 22.5 degrees above the horizon
+    const double a = azimuth_deg * degrees, e = 22.5 * degrees;
+    return vec3(dvec3(std::cos(e) * std::cos(a), std::cos(e) * std::sin(a), std::sin(e)));
+  };
+  // Who looks along -Y has -X at the right hand: azimuth falls from -90 to -157.5 degrees.
+  CHECK(env.radiance(at(-157.5)).x == doctest::Approx(9));
+  CHECK(env.radiance(at(-22.5)).x == doctest::Approx(0.1));
+  CHECK(turned.radiance(at(-67.5)).x == doctest::Approx(9));
+  for (const Environment* e : {&env, &turned})
+    for (int i = 0; i < 50; ++i) {
+      const LightSample s = e->sample({(i + 0.5f) / 50, 0.4f});
+      CHECK(e->radiance(s.direction).x == s.radiance.x);
+    }
+}
+
 TEST_CASE("sun: chi-squared over its disc, and its radiance integrates to the irradiance") {
   Sun sun;
   sun.direction = glm::normalize(vec3(1, 2, 3));

@@ -430,11 +430,10 @@ def build_lights(export, lights):
         pixels = numpy.ones(rgb.shape[:2] + (4,), dtype=numpy.float32)
         pixels[..., :3] = rgb
         texture = n.add("ShaderNodeTexEnvironment", image=new_image("sky", pixels, "Non-Color", True), interpolation="Closest", projection="EQUIRECTANGULAR")
-        # moomill: u = (azimuth + 90 deg - yaw) / 360 deg + 1/2; Blender: u = 1/2 - azimuth / 360 deg. So mirror y, then turn.
+        # moomill: u = 1/2 - (azimuth + 90 deg - yaw) / 360 deg; Blender: u = 1/2 - azimuth / 360 deg.
         mapping = n.add("ShaderNodeMapping", vector_type="POINT")
         n.set(mapping.inputs["Vector"], n.add("ShaderNodeTexCoord").outputs["Generated"])
-        n.set(mapping.inputs["Scale"], (1.0, -1.0, 1.0))
-        n.set(mapping.inputs["Rotation"], (0.0, 0.0, sky["yaw_rad"] - math.pi / 2))
+        n.set(mapping.inputs["Rotation"], (0.0, 0.0, math.pi / 2 - sky["yaw_rad"]))
         n.set(texture.inputs["Vector"], mapping.outputs["Vector"])
         n.set(background.inputs["Color"], texture.outputs["Color"])
         world.cycles.sampling_method = "MANUAL"
