@@ -117,7 +117,7 @@ double bright_pixel(const StressOptions&) {
       for (int a = 0; a < sub; ++a)
         for (int b = 0; b < sub; ++b) {
           const double theta = pi * (y + (a + 0.5) / sub) / h, phi = 2 * pi * ((x + (b + 0.5) / sub) / w - 0.5);
-          const vec3 wi(dvec3(std::sin(theta) * std::sin(phi), -std::sin(theta) * std::cos(phi), std::cos(theta)));
+          const vec3 wi(dvec3(-std::sin(theta) * std::sin(phi), -std::sin(theta) * std::cos(phi), std::cos(theta)));
           value += bsdf.evaluate(wi).at(0.5f) * std::sin(theta) / (sub * sub);
         }
       truth += value * map.at(x, y, 1) * (pi / h) * (2 * pi / w);
