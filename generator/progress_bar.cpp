@@ -28,7 +28,7 @@ ProgressBar::~ProgressBar() {
 
 std::string ProgressBar::line(std::size_t done, std::size_t total, const std::string& stage) const {
   const double seconds = std::chrono::duration<double>(Clock::now() - start_).count();
-  const double rate = seconds > 0 ? static_cast<double>(done - first_done_) / seconds : 0;
+  const double rate = seconds > 1e-3 ? static_cast<double>(done - first_done_) / seconds : 0;
   const double share = total > 0 ? static_cast<double>(done) / static_cast<double>(total) : 1;
   std::string text = fmt::format("{:3.0f} %  {}/{} {}", 100 * share, done, total, unit_);
   if (rate > 0) {

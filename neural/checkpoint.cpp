@@ -26,6 +26,12 @@ const char* name_of(torch::ScalarType type) {
 
 }  // namespace
 
+// Of everything in a file's header but this hash itself; the body has its own.
+static std::string header_hash(const nlohmann::json& all) {
+  const std::string text = all.dump();
+  return xxh64_hex(text.data(), text.size());
+}
+
 void write_tensor_file(const std::filesystem::path& file, const TensorFile& contents) {
   nlohmann::json index = nlohmann::json::object();
   std::size_t bytes = 0;
@@ -39,11 +45,12 @@ void write_tensor_file(const std::filesystem::path& file, const TensorFile& cont
     const torch::Tensor plain = tensor.detach().cpu().contiguous();
     body.append(static_cast<const char*>(plain.data_ptr()), plain.nbytes());
   }
-  const std::string header = nlohmann::json{{"header", contents.header},
-                                            {"tensors", index},
-                                            {"bytes", bytes},
-                                            {"xxh64", xxh64_hex(body.data(), body.size())}}
-                                 .dump();
+  nlohmann::json all{{"header", contents.header},
+                     {"tensors", index},
+                     {"bytes", bytes},
+                     {"xxh64", xxh64_hex(body.data(), body.size())}};
+  all["header_xxh64"] = header_hash(all);
+  const std::string header = all.dump();
   const std::uint64_t size = header.size();
   std::string text(magic);
   text.append(reinterpret_cast<const char*>(&size), sizeof size);
@@ -62,7 +69,10 @@ TensorFile read_tensor_file(const std::filesystem::path& file) {
   TensorFile contents;
   try {
     const char* text = reinterpret_cast<const char*>(data.data()) + start;
-    const nlohmann::json all = nlohmann::json::parse(text, text + size);
+    nlohmann::json all = nlohmann::json::parse(text, text + size);
+    const std::string written_hash = all.at("header_xxh64");
+    all.erase("header_xxh64");
+    if (header_hash(all) != written_hash) refuse("is damaged (the hash of its header does not match)");
     const std::size_t bytes = all.at("bytes");
     const std::uint8_t* body = data.data() + start + size;
     if (data.size() - start - size < bytes) refuse("is cut short");

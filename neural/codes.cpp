@@ -110,7 +110,7 @@ CodeSet read_codes(const fs::path& file) {
       set.names.push_back(json.at("name").get<std::string>());
     }
   } catch (const Json::exception& e) {
-    input_error("{}, line {}: {}; write it anew with `netepu embed`", views.string(), number, e.what());
+    input_error("{}, line {}: {}; write it anew with `netepu embed`", views.string(), number, reason_of(e));
   }
   if (static_cast<std::int64_t>(set.views.size()) != set.codes.size(0))
     input_error("{}: names {} views, but {} has {} codes; write both anew with `netepu embed`", views.string(),

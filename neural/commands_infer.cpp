@@ -31,6 +31,13 @@ Evaluation evaluation_of(bool plain, const std::string& precision) {
 
 namespace {
 
+// Before anything is computed that could then not be written.
+void require_folder(const fs::path& out) {
+  std::error_code ignored;
+  if (!out.empty() && fs::exists(out, ignored) && !fs::is_directory(out, ignored))
+    input_error("-o {}: is a file; name a folder", out.string());
+}
+
 Model open_model(const ModelChoice& choice) {
   const Evaluation evaluation = evaluation_of(choice.plain, choice.precision);
   Model model = load_model(choice.model);
@@ -224,6 +231,7 @@ class RenderInputs {
 }  // namespace
 
 int run_render(const RenderCommand& command, const CommandTools& tools) {
+  require_folder(command.out);
   Model model = open_model(command.model);
   const RenderInputs inputs(command, model, tools);
   const Tensor code = inputs.code();
@@ -256,6 +264,7 @@ int run_render(const RenderCommand& command, const CommandTools& tools) {
 }
 
 int run_eval(const EvalCommand& command, const CommandTools& tools) {
+  require_folder(command.out);
   Model model = open_model(command.model);
   if (!command.geometry_only) require_texture(model);
   const std::unique_ptr<SampleSource> opened = open_source(command.data, !command.geometry_only, tools);
@@ -282,6 +291,8 @@ int run_embed(const EmbedCommand& command, const CommandTools& tools) {
   Model model = open_model(command.model);
   require_texture(model);
   CodeSet set;
+  if (!command.data.dataset.empty() && !command.photo.picture.empty())
+    input_error("a dataset and a photo are given; embed one of them at a time");
   if (command.data.dataset.empty()) {
     if (command.photo.picture.empty())
       input_error("nothing to embed is given; name a dataset, or a photo with --photo");
@@ -307,6 +318,7 @@ int run_embed(const EmbedCommand& command, const CommandTools& tools) {
 }
 
 int run_identify(const IdentifyCommand& command, const CommandTools& tools) {
+  require_folder(command.out);
   if (command.distance != "cosine" && command.distance != "euclidean")
     input_error("--distance {}: is neither cosine nor euclidean", command.distance);
   const CodeDistance distance = command.distance == "cosine" ? CodeDistance::cosine : CodeDistance::euclidean;
@@ -318,7 +330,12 @@ int run_identify(const IdentifyCommand& command, const CommandTools& tools) {
   std::string calibration;
   if (!command.calibrate.empty()) {
     const CodeSet known = read_codes(command.calibrate);
-    const Tensor map = scatter_normalisation(known);
+    Tensor map;
+    try {
+      map = scatter_normalisation(known);
+    } catch (const InputError& e) {
+      input_error("--calibrate {}: {}", command.calibrate.string(), e.what());
+    }
     queries = mapped(std::move(queries), map);
     gallery = mapped(std::move(gallery), map);
     calibration = fmt::format("{} codes of {}", known.codes.size(0), known.dataset);
@@ -355,6 +372,7 @@ int run_identify(const IdentifyCommand& command, const CommandTools& tools) {
 }
 
 int run_speed(const SpeedCommand& command, const CommandTools& tools) {
+  require_folder(command.out);
   if (command.width < 1 || command.height < 1 || command.views < 1 || command.repeats < 1)
     input_error("{}x{} pixels, {} views, {} repeats: all of them must be 1 or more", command.width, command.height,
                 command.views, command.repeats);

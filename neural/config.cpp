@@ -108,9 +108,19 @@ struct FromJson {
   const nlohmann::json& in;
   const std::string& file;
   template <class T>
-  void operator()(const char* key, T& v, double, double) const {
+  void operator()(const char* key, T& v, double lo, double hi) const {
+    const auto check_range = [&](double number) {
+      if (lo < hi && !(number >= lo && number <= hi))
+        input_error("{}: its configuration's \"{}\" is out of range; it is damaged, train anew", file, key);
+    };
     try {
       v = in.at(key).get<T>();
+      if constexpr (std::is_same_v<T, std::vector<int>>) {
+        if (v.empty()) input_error("{}: its configuration's \"{}\" is empty; it is damaged, train anew", file, key);
+        for (const int number : v) check_range(number);
+      } else {
+        check_range(static_cast<double>(v));
+      }
     } catch (const nlohmann::json::exception&) {
       input_error("{}: its configuration has no usable \"{}\"; it was written by another version, train anew", file, key);
     }

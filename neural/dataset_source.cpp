@@ -5,6 +5,7 @@
 #include <map>
 #include <set>
 
+#include "generator/dataset/json.h"
 #include "generator/core/error.h"
 #include "generator/dataset/codecs.h"
 #include "generator/dataset/reader.h"
@@ -147,7 +148,7 @@ DatasetSource from_manifest(const fs::path& folder) {
       for (const Json& frame : d.json.at("splits").at(name))
         if (std::binary_search(s.frames.begin(), s.frames.end(), frame.get<int>())) out.push_back(frame.get<int>());
     } catch (const Json::exception& e) {
-      input_error("{}: \"splits\" has no list \"{}\" ({}); make the dataset anew", manifest, name, e.what());
+      input_error("{}: \"splits\" has no list \"{}\" ({}); make the dataset anew", manifest, name, reason_of(e));
     }
   };
   split("train", s.splits.train);

@@ -44,11 +44,11 @@ Tensor scatter_normalisation(const CodeSet& known) {
     scatter += codes.t().matmul(codes);
     freedom += static_cast<std::int64_t>(rows.size()) - 1;
   }
-  if (freedom < 1) input_error("no coat has two codes: nothing tells how codes of one coat scatter");
+  if (freedom < 1) input_error("no coat has two codes, so nothing tells how codes of one coat scatter; embed more views of the training split");
   scatter /= static_cast<double>(freedom);
   const double mean_variance = scatter.diag().mean().item<double>();
   if (!(mean_variance > 0) || !std::isfinite(mean_variance))
-    input_error("codes of one coat are all alike, or not finite: nothing tells how they scatter");
+    input_error("codes of one coat are all alike, or not finite, so nothing tells how they scatter; embed them with a trained model");
   scatter += 1e-3 * mean_variance * torch::eye(z, torch::kDouble);
   // scatter = L L^T; rows times L^-T have the identity as their scatter.
   return torch::linalg_inv(torch::linalg_cholesky(scatter)).t().contiguous();

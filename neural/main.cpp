@@ -52,6 +52,8 @@ TrainingControl control_of(const TrainCommand& c) {
   control.stop = &stop_wanted;
   control.log = [](const std::string& line) { spdlog::info(line); };
   control.device = device_of(c.device);
+  if (control.device.is_cuda() && c.precision != "float32")
+    input_error("--precision {}: is of the CPU's operators; leave it out on a GPU, or add --device cpu", c.precision);
   control.evaluation = evaluation_of(c.plain || control.device.is_cuda(), c.precision);
   control.max_steps = c.max_steps;
   control.profile = c.profile;
@@ -70,6 +72,7 @@ int run_train(const TrainCommand& c, bool texture) {
   spdlog::info(source.describe());
   const TrainingEnd end = texture ? train_texture(source, config, c.geometry, c.out, control)
                                   : train_geometry(source, config, c.out, control);
+  if (end == TrainingEnd::stopped && stop_wanted.load()) return 1;  // as moomill generate: what comes after must not take it for done
   if (end == TrainingEnd::finished) spdlog::info("{}: trained; the best model is {}", c.out, (fs::path(c.out) / "model.netepu").string());
   return 0;
 }
@@ -109,9 +112,9 @@ void add_data_options(CLI::App* app, DatasetChoice& c) {
 }
 
 void add_photo_options(CLI::App* app, PhotoChoice& c) {
-  app->add_option("--photo", c.picture, "a picture of the animal")->type_name("FILE");
-  app->add_option("--photo-mask", c.mask, "its silhouette, white on black, of the same size")->type_name("FILE");
-  app->add_option("--photo-pose", c.pose, "its keypoints and camera")->type_name("FILE.json");
+  CLI::Option* photo = app->add_option("--photo", c.picture, "a picture of the animal")->type_name("FILE");
+  app->add_option("--photo-mask", c.mask, "its silhouette, white on black, of the same size")->type_name("FILE")->needs(photo);
+  app->add_option("--photo-pose", c.pose, "its keypoints and camera")->type_name("FILE.json")->needs(photo);
 }
 
 int with_tools(const char* unit, int threads, const std::function<int(const CommandTools&)>& body) {
@@ -138,7 +141,7 @@ struct InferCommands {
 // "1024x768"
 void parse_resolution(const std::string& text, int& width, int& height) {
   char rest = 0;
-  if (!text.empty() && std::sscanf(text.c_str(), "%dx%d%c", &width, &height, &rest) != 2)
+  if (!text.empty() && (std::sscanf(text.c_str(), "%dx%d%c", &width, &height, &rest) != 2 || width < 1 || height < 1))
     input_error("--resolution {}: give it as WIDTHxHEIGHT, e.g. 1024x768", text);
 }
 
@@ -158,13 +161,13 @@ void add_render_command(CLI::App& app, InferCommands& all, int& status) {
   c->add_option("--camera", r.camera, "camera of the dataset")->type_name("N");
   c->add_option("--camera-file", r.camera_file, "{world_to_camera, fx, fy, cx, cy, width, height}; default: the pose file's")->type_name("FILE.json");
   c->add_option("--resolution", all.resolution, "instead of the camera's own")->type_name("WxH");
-  c->add_option("--coat", r.coat, "texture of the dataset's view with this coat")->type_name("N");
-  c->add_option("--coat-frame", r.coat_frame, "frame of that view; default: the rendered one")->type_name("N");
-  c->add_option("--coat-camera", r.coat_camera, "camera of that view; default: the rendered one")->type_name("N");
+  CLI::Option* coat = c->add_option("--coat", r.coat, "texture of the dataset's view with this coat")->type_name("N");
+  c->add_option("--coat-frame", r.coat_frame, "frame of that view; default: the rendered one")->type_name("N")->needs(coat);
+  c->add_option("--coat-camera", r.coat_camera, "camera of that view; default: the rendered one")->type_name("N")->needs(coat);
   add_photo_options(c, r.photo);
-  c->add_option("--code", r.code, "texture of a file that embed wrote")->type_name("FILE.npy");
-  c->add_option("--code-row", r.code_row, "row of it")->type_name("N");
-  c->add_option("--mask-cell", r.mask_cell, "first grid of the silhouette in pixels, a power of two; 0: a 64th of the picture")->type_name("N");
+  CLI::Option* code = c->add_option("--code", r.code, "texture of a file that embed wrote")->type_name("FILE.npy");
+  c->add_option("--code-row", r.code_row, "row of it")->type_name("N")->needs(code);
+  c->add_option("--mask-cell", r.mask_cell, "first grid of the silhouette in pixels, a power of two; 0: a 64th of the picture")->type_name("N")->check(CLI::Range(0, 4096));
   c->add_option("--surface-cell", r.surface_cell, "grid between which depth and NNOPCS are interpolated; 1: every pixel")->type_name("N");
   c->add_flag("--every-pixel", r.every_pixel, "no shortcuts: evaluate every pixel of the picture");
   add_model_options(c, r.model, all.threads);
@@ -225,8 +228,8 @@ void add_infer_commands(CLI::App& app, InferCommands& all, int& status) {
                     return with_tools("views", all.threads, [&](const CommandTools& tools) { return run_speed(s, tools); });
                   });
   c->add_option("dataset", s.data.dataset, "poses, cameras and pictures")->required()->type_name("DIR");
-  c->add_option("--model", s.model.model, "trained model")->type_name("MODEL");
-  c->add_option("--config", all.speed_config, "random weights of a configuration instead")->type_name("FILE.toml");
+  CLI::Option* speed_model = c->add_option("--model", s.model.model, "trained model")->type_name("MODEL");
+  c->add_option("--config", all.speed_config, "random weights of a configuration instead")->type_name("FILE.toml")->excludes(speed_model);
   c->add_option("-o,--out", s.out, "folder of the results")->type_name("DIR");
   c->add_option("--cache", s.data.cache, "folder of the packed samples; default: beside the dataset")->type_name("DIR");
   c->add_option("--resolution", all.resolution, "of the rendered maps; default: 1024x768")->type_name("WxH");

@@ -15,8 +15,8 @@ using torch::Tensor;
 namespace {
 
 double finite(const Json& json, const fs::path& file, const std::string& place) {
-  if (!json.is_number() || !std::isfinite(json.get<double>()))
-    input_error("{}, {}: is not a finite number; give one", file.string(), place);
+  if (!json.is_number() || !(std::abs(json.get<double>()) <= 1e9))  // metres and pixels; beyond, float loses the animal
+    input_error("{}, {}: is not a number within 1e9; give one", file.string(), place);
   return json.get<double>();
 }
 

@@ -2,6 +2,7 @@
 
 #include "generator/core/error.h"
 #include "generator/core/random.h"
+#include "generator/dataset/codecs.h"
 #include "neural/training_loop.h"
 
 namespace moomill {
@@ -184,6 +185,7 @@ TrainingEnd train_geometry(const SampleSource& source, const NetepuConfig& confi
     return terms;
   };
   const SampleOptions validation = for_validation(stage.samples, 4);
+  stage.validation = validation;
   stage.validate = [&]() -> Scalars {
     Mean mean;
     for (int i = 0; i < source.batches_per_epoch(validation); ++i) {
@@ -231,6 +233,8 @@ TrainingEnd train_texture(const SampleSource& source, const NetepuConfig& config
   model.texture->to(control.device);
   model.geometry->eval();
   Stage stage = make_stage("texture", *model.texture, model.texture->clip_groups(), t, config.model.nnopcs);
+  const std::vector<std::uint8_t> base = read_file(geometry_model);
+  stage.base = xxh64_hex(base.data(), base.size());
   stage.samples.seed = hash_identity({config.seed, hash_text("texture")});
   stage.samples.color = true;
   stage.samples.encoder = t.encoder;
@@ -257,6 +261,7 @@ TrainingEnd train_texture(const SampleSource& source, const NetepuConfig& config
     return terms;
   };
   const SampleOptions validation = for_validation(stage.samples, 4);
+  stage.validation = validation;
   stage.validate = [&]() -> Scalars {
     Mean mean;
     for (int i = 0; i < source.batches_per_epoch(validation); ++i) {

@@ -76,12 +76,13 @@ torch::optim::AdamWParamState* state_of(torch::optim::AdamW& optimiser, const to
   return found == optimiser.state().end() ? nullptr : static_cast<torch::optim::AdamWParamState*>(found->second.get());
 }
 
-void save_state(const fs::path& file, const NetepuConfig& config, const Stage& stage, torch::optim::AdamW& optimiser,
-                const Position& at) {
+void save_state(const fs::path& file, const NetepuConfig& config, const Stage& stage, const std::string& dataset,
+                torch::optim::AdamW& optimiser, const Position& at) {
   TensorFile contents;
   contents.header = {{"kind", "state"},        {"stage", stage.name},     {"config", to_json(config)},  {"epoch", at.epoch},
                      {"batch", at.batch},      {"step", at.step},         {"seconds", at.seconds},      {"first_loss", at.first_loss},
-                     {"sums", at.sums},        {"summed", at.summed},     {"rows", at.rows}};
+                     {"sums", at.sums},        {"summed", at.summed},     {"rows", at.rows},           {"dataset", dataset},
+                     {"base", stage.base}};
   if (std::isfinite(at.best)) contents.header["best"] = at.best;
   store_module(*stage.module, "weights.", false, contents.tensors);
   const std::vector<torch::Tensor> parameters = all_parameters(stage);
@@ -107,7 +108,8 @@ std::string difference(const nlohmann::json& a, const nlohmann::json& b, const s
   return {};
 }
 
-Position load_state(const fs::path& file, const NetepuConfig& config, const Stage& stage, torch::optim::AdamW& optimiser) {
+Position load_state(const fs::path& file, const NetepuConfig& config, const Stage& stage, const std::string& dataset,
+                    torch::optim::AdamW& optimiser) {
   TensorFile contents = read_tensor_file(file);
   Position at;
   try {
@@ -117,6 +119,11 @@ Position load_state(const fs::path& file, const NetepuConfig& config, const Stag
     if (const std::string key = difference(h.at("config"), to_json(config), {"seed", "model", stage.name}); !key.empty())
       input_error("{}: was trained with another '{}'; use that configuration again, or name another folder with -o", file.string(),
                   key);
+    if (h.at("dataset") != dataset)
+      input_error("{}: was trained on another dataset ({}); give that one again, or name another folder with -o", file.string(),
+                  h.at("dataset").get<std::string>());
+    if (h.at("base") != stage.base)
+      input_error("{}: was trained on another geometry model; give that one again, or name another folder with -o", file.string());
     at.epoch = h.at("epoch"), at.batch = h.at("batch"), at.step = h.at("step"), at.seconds = h.at("seconds");
     at.first_loss = h.at("first_loss"), at.sums = h.at("sums").get<std::vector<double>>(), at.summed = h.at("summed");
     at.rows = h.at("rows");
@@ -205,14 +212,18 @@ TrainingEnd run_training(const SampleSource& source, const NetepuConfig& config,
   torch::optim::AdamW optimiser(parameters,
                                 torch::optim::AdamWOptions(stage.optimiser.schedule.rate).weight_decay(stage.optimiser.weight_decay));
   const fs::path state_file = out / "state.netepu";
+  const std::string dataset = source.describe();
   Position at;
   std::error_code ignored;
-  if (fs::exists(state_file, ignored)) {
-    at = load_state(state_file, config, stage, optimiser);
-    control.log(fmt::format("going on from epoch {} of {}, step {}", at.epoch, stage.epochs, at.step));
-  }
-  write_file_atomically(out / "config.json", to_json(config).dump(2) + "\n");
+  if (fs::exists(out, ignored) && !fs::is_directory(out, ignored))
+    input_error("-o {}: is a file; name a folder for the run", out.string());
   const int batches = source.batches_per_epoch(stage.samples);
+  if (stage.validation) source.batches_per_epoch(*stage.validation);  // refuses a dataset without validation split before the first step
+  const bool resumed = fs::exists(state_file, ignored);
+  if (resumed) {
+    at = load_state(state_file, config, stage, dataset, optimiser);
+    control.log(fmt::format("going on in epoch {} of {}, after step {}", std::min(at.epoch + 1, stage.epochs), stage.epochs, at.step));
+  }
   if (at.epoch >= stage.epochs) {
     control.log("finished before; nothing to do");
     return TrainingEnd::finished;
@@ -224,9 +235,15 @@ TrainingEnd run_training(const SampleSource& source, const NetepuConfig& config,
   const double seconds_before = at.seconds;
   const std::int64_t first_step = at.step, total_steps = static_cast<std::int64_t>(batches) * stage.epochs;
   double drawing = 0, computing = 0, updating = 0;
+  bool saved = resumed;
+  const auto save_at = [&](const Position& position) {
+    write_file_atomically(out / "config.json", to_json(config).dump(2) + "\n");
+    save_state(state_file, config, stage, dataset, optimiser, position);
+    saved = true;
+  };
   const auto save = [&] {
     at.seconds = seconds_before + seconds_since(start);
-    save_state(state_file, config, stage, optimiser, at);
+    save_at(at);
   };
   while (at.epoch < stage.epochs) {
     for (; at.batch < batches; ) {
@@ -249,9 +266,9 @@ TrainingEnd run_training(const SampleSource& source, const NetepuConfig& config,
       computing += lap();
       const double rate = rate_of(stage.optimiser.schedule, at.step, batches, stage.epochs);
       const auto diverged = [&](const std::string& what) {
-        run_error("{}: diverged in epoch {}, step {}, at rate {:.3g}: {}; lower [{}] rate, or look at frame {} of the dataset. The last "
-                  "saved state is kept",
-                  out.string(), at.epoch + 1, at.step, rate, what, stage.name, batch.views.empty() ? 0 : batch.views.front().frame);
+        run_error("{}: diverged in epoch {}, step {}, at rate {:.3g}: {}; lower [{}] rate, or look at frame {} of the dataset. {}",
+                  out.string(), at.epoch + 1, at.step, rate, what, stage.name, batch.views.empty() ? 0 : batch.views.front().frame,
+                  saved ? "The last saved state is kept" : "Nothing was saved yet");
       };
       double loss = 0;
       for (const auto& [name, value] : terms) {
@@ -319,7 +336,7 @@ TrainingEnd run_training(const SampleSource& source, const NetepuConfig& config,
       // The position after this epoch, so that a kill loses at most what came since the last validation.
       Position next = at;
       ++next.epoch, next.batch = 0;
-      save_state(state_file, config, stage, optimiser, next);
+      save_at(next);
     }
     ++at.epoch, at.batch = 0;
   }

@@ -1,4 +1,5 @@
 #pragma once
+#include <optional>
 // The loop that both stages share.
 #include "neural/training.h"
 
@@ -9,9 +10,11 @@ struct Stage {
   std::string name;                                  // "geometry" or "texture", also the key in the configuration
   torch::nn::Module* module = nullptr;               // what is trained
   std::vector<std::vector<torch::Tensor>> groups;    // parameters whose gradients are clipped together
+  std::string base;                                  // hash of the trained model it builds on; empty: none
   OptimiserConfig optimiser;
   int epochs = 1, validate_every = 1;
   SampleOptions samples;                             // of the training split
+  std::optional<SampleOptions> validation;           // what `validate` draws
   // Forward and backward of a batch; gradients are added to the parameters. Returns the weighted terms.
   std::function<Scalars(const Batch& batch, std::int64_t step)> accumulate;
   std::function<Scalars()> validate;                 // figures; the first decides which model is best (least)

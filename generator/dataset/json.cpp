@@ -52,11 +52,17 @@ std::string dump_json(const Json& json) {
   return out;
 }
 
+std::string reason_of(const Json::exception& error) {
+  const std::string text = error.what();
+  const std::size_t end = text.find("] ");
+  return text.starts_with("[json.exception") && end != std::string::npos ? text.substr(end + 2) : text;
+}
+
 Json parse_json(const std::string& text, const std::string& file) {
   try {
     return Json::parse(text);
   } catch (const Json::exception& e) {
-    input_error("{}: is not valid JSON: {}; make the file anew", file, e.what());
+    input_error("{}: is not valid JSON: {}; make the file anew", file, reason_of(e));
   }
 }
 

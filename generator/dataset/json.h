@@ -11,6 +11,9 @@ std::string dump_json(const Json& json);
 Json parse_json_file(const std::filesystem::path& file);  // InputError names file and place
 Json parse_json(const std::string& text, const std::string& file);
 
+// What is wrong, without the library's number of it.
+std::string reason_of(const Json::exception& error);
+
 Json camera_to_json(const CameraRecord& camera);
 CameraRecord camera_from_json(const Json& json);
 

@@ -212,7 +212,7 @@ Manifest manifest_from_json(const Json& json, const std::string& file) {
     m.rig_files = at("rig_files").get<std::vector<std::string>>();
     m.reader_radius = at("reader_radius_m").get<double>();
   } catch (const Json::exception& e) {
-    input_error("{}: \"{}\" is missing or wrong ({}); make the dataset anew", file, key, e.what());
+    input_error("{}: \"{}\" is missing or wrong ({}); make the dataset anew", file, key, reason_of(e));
   }
   return m;
 }

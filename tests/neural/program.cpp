@@ -77,6 +77,8 @@ TEST_CASE("netepu refuses what does not fit, in one sentence, with exit status 2
   test::TinyOptions options;
   options.frames = 60, options.rings = 1, options.coats = 2;
   b.dataset("data", options);
+  options.frames = 55;
+  b.dataset("other", options);
   options.frames = 51, options.nnopcs = false;
   b.dataset("bare", options);
   options.frames = 12, options.nnopcs = true, options.coats = 1;
@@ -108,6 +110,18 @@ TEST_CASE("netepu refuses what does not fit, in one sentence, with exit status 2
   fs::copy_file(b.folder.path / "g/model.netepu", b.folder.path / "short.netepu");
   fs::resize_file(b.folder.path / "short.netepu", 20000);
   b.refuses("eval short.netepu data", "cut short");
+  // One bit of the header: a digit of the configuration.
+  std::vector<std::uint8_t> flipped = read_file(b.folder.path / "g/model.netepu");
+  const std::string text(flipped.begin(), flipped.end());
+  flipped[text.find("\"position_scale\":4") + 17] = '5';
+  write_file_atomically(b.folder.path / "flipped.netepu", flipped.data(), flipped.size());
+  b.refuses("eval flipped.netepu data", "the hash of its header does not match");
+  b.refuses("train-geometry data --config small.toml -o small.toml", "is a file; name a folder");
+  b.refuses("eval g/model.netepu data --geometry-only -o small.toml", "is a file; name a folder");
+  b.refuses("render g/model.netepu --dataset data --frame 1 --camera 0 --photo-mask m.png -o r", "--photo");
+  // A run goes on only with what it began with.
+  b.refuses("train-geometry other --config small.toml -o g", "was trained on another dataset");
+  CHECK_FALSE(fs::exists(b.folder.path / "t"));
 
   // A corrupt picture, and one of another size: found when the samples are packed.
   const fs::path depth = b.folder.path / "data/cow_animation_alltextures.blend";
@@ -137,7 +151,7 @@ TEST_CASE("a run stopped by SIGTERM saves, says so, and the same command goes on
       b.folder.path.string(), NETEPU_PROGRAM);
   const int status = std::system(script.c_str());
   CHECK(WIFEXITED(status));
-  CHECK(WEXITSTATUS(status) == 0);
+  CHECK(WEXITSTATUS(status) == 1);  // not done
   CHECK(read_all(b.folder.path / "err.txt").find("the same command goes on from here") != std::string::npos);
   const TensorFile state = read_tensor_file(b.folder.path / "g/state.netepu");
   const std::int64_t step = state.header.at("step");

@@ -173,7 +173,7 @@ TEST_CASE("a resumed run equals an uninterrupted one, bit for bit, in both stage
   longer.geometry.epochs = 6;
   Log more;
   CHECK(train_geometry(*tiny.source, longer, tiny.run("parts"), more.control) == TrainingEnd::finished);
-  CHECK(more.lines.front().starts_with("going on from epoch 4 of 6"));
+  CHECK(more.lines.front().starts_with("going on in epoch 5 of 6"));
   Log again;
   CHECK(train_geometry(*tiny.source, c, tiny.run("whole"), again.control) == TrainingEnd::finished);
   CHECK(again.lines.back() == "finished before; nothing to do");
@@ -185,6 +185,8 @@ TEST_CASE("a resumed run equals an uninterrupted one, bit for bit, in both stage
   CHECK(train_texture(*tiny.source, micro, geometry, tiny.run("texture parts"), part.control) == TrainingEnd::stopped);
   CHECK(train_texture(*tiny.source, micro, geometry, tiny.run("texture parts"), rest.control) == TrainingEnd::finished);
   check_same(tiny.run("texture") / "state.netepu", tiny.run("texture parts") / "state.netepu");
+  CHECK_THROWS_WITH_AS(train_texture(*tiny.source, micro, tiny.run("parts") / "model.netepu", tiny.run("texture"), rest.control),
+                       doctest::Contains("was trained on another geometry model"), InputError);
   const Model model = load_model(tiny.run("texture") / "model.netepu");
   CHECK(model.coat_names == tiny.source->coat_names());
   CHECK_FALSE(model.texture.is_empty());
