@@ -93,7 +93,7 @@ int run(int argc, char** argv) {
       ->check(CLI::Range(1, 99));
   c->add_option("--threads", crosscheck.threads, "of Blender; 0: one per core")->type_name("N")->check(CLI::Range(0, 4096));
   c->add_option("--blender", crosscheck.blender, "program, where it is not on the PATH")->type_name("FILE");
-  CLI::Option* timing = c->add_option("--timing", crosscheck.timing, "no comparison: cycles.csv with the run time of Blender's own material at each of these samples")
+  CLI::Option* timing = c->add_option("--timing", crosscheck.timing, "no comparison: convergence.csv with the run time of Blender's own material at each of these samples")
                             ->type_name("16,64");
   c->add_option("--reference", crosscheck.reference, "with --timing: samples of the pictures that errors are taken against")
       ->type_name("N")

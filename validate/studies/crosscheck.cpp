@@ -5,13 +5,16 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <chrono>
 #include <cstring>
+#include <map>
 
 #include "generator/core/data_root.h"
 #include "generator/core/error.h"
 #include "generator/dataset/codecs.h"
 #include "generator/dataset/json.h"
+#include "validate/studies/converge.h"
 
 extern char** environ;
 
@@ -125,7 +128,7 @@ Prepared prepare(const SceneSpec& scene, const CrosscheckOptions& options) {
   if (options.label_scale < 1 || options.label_scale % 2 == 0) input_error("--label-scale {}: an odd number, or no pixel centre stays one", options.label_scale);
   SceneSpec spec = scene;
   Overrides only;
-  only.modalities = {"rgb", "instance", "depth", "nnopcs"};
+  only.modalities = {"rgb", "silhouette", "instance", "depth", "nnopcs"};
   only.first_frame = only.last_frame = options.frame.value_or(scene.frames.front());
   apply_overrides(spec, only);
   Prepared p;
@@ -279,29 +282,38 @@ StudyResult time_cycles(const SceneSpec& scene, const CrosscheckOptions& options
   StudyResult result;
   result.title = fmt::format("Run times of Blender {} on frame {} of {}, {} threads", told.at("blender").get<std::string>(), p.frame.number, fs::path(scene.file).filename().string(),
                              told.at("threads").get<int>());
-  std::string csv = "renderer,frame,camera,coat,spp,seconds,core_seconds,mse,relative_mse,ciede2000\n";
+  std::map<int, ImageU32> masks;  // by camera: where a pixel's centre ray meets an animal, as in `converge`
+  if (options.reference_samples > 0)
+    for (const CameraRecord& camera : p.frame.cameras) {
+      const View labels = p.mill->trace_labels(p.frame, camera);
+      const Map* silhouette = labels.find(Modality::silhouette);
+      check(silhouette != nullptr, "a scene with animals has a silhouette");
+      if (std::none_of(silhouette->u.data.begin(), silhouette->u.data.end(), [](std::uint32_t v) { return v != 0; }))
+        input_error("{}: no animal is in frame {} of camera {}; choose another camera", scene.file, p.frame.number, camera.id);
+      masks[camera.id] = silhouette->u;
+    }
+  std::vector<ConvergenceRow> rows;  // references have no error to tell and stay out
   result.table = fmt::format("# {}\n\nStart {:.2f} s and building of the scene {:.2f} s are not in the rows; what Cycles says it took to synchronise is in `seconds`.\n\n"
                              "| camera | coat | spp | seconds | core seconds | synchronised, s | mse | relative mse | CIEDE2000 |\n|---|---|---|---|---|---|---|---|---|\n",
                              result.title, told.at("start_seconds").get<double>(), told.at("build_seconds").get<double>());
   double seconds = 0, core_seconds = 0;
   for (const Json& r : told.at("renders")) {
     const int camera = r.at("camera"), coat = r.at("coat"), spp = r.at("spp");
-    std::string error = ",,";
+    ConvergenceRow row{"cycles", p.frame.number, camera, coat, spp, r.at("wall_seconds"), r.at("core_seconds"), {}};
+    std::string cells = " | | ";
     if (options.reference_samples > 0 && spp != options.reference_samples) {
       const auto picture = [&](int n) { return colors_of_cycles(cycles_file(options.out, "principled", camera, coat, n)); };
-      const ImageError e = image_error(picture(spp), picture(options.reference_samples));
-      error = fmt::format("{:.9g},{:.9g},{:.9g}", e.mse, e.relative_mse, e.ciede2000);
+      row.error = picture_error(picture(spp), picture(options.reference_samples), masks.at(camera));
+      cells = fmt::format("{:.4g} | {:.4g} | {:.3f}", row.error.mse, row.error.relative_mse, row.error.ciede2000);
+      rows.push_back(row);
     }
-    const double wall = r.at("wall_seconds"), cores = r.at("core_seconds");
-    seconds += wall;
-    core_seconds += cores;
-    csv += fmt::format("cycles,{},{},{},{},{:.4f},{:.4f},{}\n", p.frame.number, camera, coat, spp, wall, cores, error);
-    std::string cells = error;
-    for (std::size_t at = 0; (at = cells.find(',', at)) != std::string::npos; at += 3) cells.replace(at, 1, " | ");
-    result.table += fmt::format("| {} | {} | {} | {:.3f} | {:.3f} | {:.3f} | {} |\n", camera, coat, spp, wall, cores, r.value("synchronization_time", 0.0), cells);
+    seconds += row.seconds;
+    core_seconds += row.core_seconds;
+    result.table += fmt::format("| {} | {} | {} | {:.3f} | {:.3f} | {:.3f} | {} |\n", camera, coat, spp, row.seconds, row.core_seconds,
+                                r.value("synchronization_time", 0.0), cells);
   }
   result.figures = {{"seconds of all renders", seconds, "s", {}, {}}, {"core seconds of all renders", core_seconds, "s", {}, {}}};
-  write_file_atomically(options.out / "cycles.csv", csv);
+  if (!rows.empty()) write_file_atomically(options.out / convergence_file, convergence_csv(rows));  // what `converge --against` reads
   return result;
 }
 

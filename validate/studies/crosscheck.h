@@ -72,14 +72,6 @@ struct ColorDifference {
 // 4 channels, premultiplied.
 ColorDifference compare_colors(const ImageF& ours, const ImageF& theirs);
 
-// Errors of an image against a reference inside its alpha: what crosscheck.csv and `converge` tabulate.
-struct ImageError {
-  double mse = 0;           // mean of squared differences, over pixels and channels
-  double relative_mse = 0;  // each divided by the reference's square plus 0.01 (Rousselle et al. 2011)
-  double ciede2000 = 0;     // mean over pixels, of colours clipped to [0, 1]
-};
-ImageError image_error(const ImageF& image, const ImageF& reference);
-
 // Ours, theirs and the difference side by side: colours as sRGB; the difference times `gain` around middle grey.
 Image8 difference_sheet(const ImageF& ours, const ImageF& theirs, double gain);
 // Ours, theirs, and where they differ: depth by up to 1e-4 m, NNOPCS by up to 1e-4 (red is more), other silhouettes white.
@@ -100,7 +92,7 @@ struct CrosscheckOptions {
 // into the folder; the result is for finish_study(). InputError when there is no Blender.
 StudyResult crosscheck(const SceneSpec& scene, const CrosscheckOptions& options);
 
-// Renders every exported view and coat with Blender's own material and writes cycles.csv in converge's columns.
+// Renders every exported view and coat with Blender's own material and writes convergence.csv in converge's columns.
 StudyResult time_cycles(const SceneSpec& scene, const CrosscheckOptions& options);
 
 // Where a program is: a path as it is, a name on PATH; empty when it is not there.

@@ -154,29 +154,6 @@ ColorDifference compare_colors(const ImageF& ours, const ImageF& theirs) {
   return d;
 }
 
-ImageError image_error(const ImageF& image, const ImageF& reference) {
-  require_same_size(image, reference);
-  ImageError e;
-  double count = 0;
-  for (std::size_t p = 0; p < image.data.size(); p += 4) {
-    const float *a = &image.data[p], *b = &reference.data[p];
-    if (b[3] == 0) continue;
-    count += 1;
-    for (int k = 0; k < 3; ++k) {
-      const double difference = double(a[k]) - b[k], square = difference * difference;
-      e.mse += square / 3;
-      e.relative_mse += square / (double(b[k]) * b[k] + 0.01) / 3;
-    }
-    const vec3 seen_a = glm::clamp(vec3(a[0], a[1], a[2]), 0.0f, 1.0f), seen_b = glm::clamp(vec3(b[0], b[1], b[2]), 0.0f, 1.0f);
-    e.ciede2000 += ciede2000(lab_from_linear(seen_a), lab_from_linear(seen_b));
-  }
-  if (count == 0) return e;
-  e.mse /= count;
-  e.relative_mse /= count;
-  e.ciede2000 /= count;
-  return e;
-}
-
 Image8 difference_sheet(const ImageF& ours, const ImageF& theirs, double gain) {
   require_same_size(ours, theirs);
   const int w = ours.width, h = ours.height;
