@@ -136,12 +136,20 @@ std::string markdown(const EvaluationResult& r, const Model& model) {
       "Each image "
       "counts alike; PSNR has peak 1 and is capped at {:.0f} dB; NNOPCS and colours are clamped to [0, 1]. Codes come "
       "from the model's "
-      "own silhouette and NNOPCS unless said otherwise. Views without a foreground pixel, left out of the means: {}.\n",
+      "own silhouette and NNOPCS unless said otherwise. {}{}Views without a foreground pixel, left out of the means: {}.\n",
       m.local_features, m.global_features, static_cast<double>(count_parameters(*model.geometry)) / 1e6,
       model.texture.is_empty()
           ? ""
           : fmt::format(", {:.1f} million of texture", static_cast<double>(count_parameters(*model.texture)) / 1e6),
-      psnr_cap, skipped);
+      psnr_cap,
+      !model.texture.is_empty() && model.config.texture.encoder.crop
+          ? "The texture encoder is shown the animal cropped, the paper's the whole picture. "
+          : "",
+      !model.texture.is_empty() && model.config.texture.agreement_weight > 0
+          ? "Codes were also trained to agree between views of one individual, by the training split's names; the paper trains on "
+            "colours alone. "
+          : "",
+      skipped);
   return out;
 }
 
