@@ -54,6 +54,7 @@ std::string fine_cow() {
     std::string s = text.str();
     const auto at = s.find("target_edge_m");
     s.replace(at, s.find('\n', at) - at, "target_edge_m = 0.0125");
+    fs::copy(data_root() / "rigs/cow/motion", scratch() / "motion");  // clips lie beside their species
     std::ofstream(file) << s;
   }
   return file.string();
