@@ -31,6 +31,18 @@ int finish_study(const StudyResult& result, const std::string& folder) {
   return missed > 0 ? 1 : 0;
 }
 
+namespace {
+
+// At most n of a list, spread evenly over it.
+std::vector<int> some_of(const std::vector<int>& all, std::size_t n) {
+  if (all.size() <= n) return all;
+  std::vector<int> some;
+  for (std::size_t i = 0; i < n; ++i) some.push_back(all[i * all.size() / n]);
+  return some;
+}
+
+}  // namespace
+
 int run_converge(const ConvergeCommand& command, std::atomic<bool>& stop) {
   SceneSpec scene = read_scene(command.scene);
   apply_overrides(scene, parse_overrides(command.options));
@@ -44,11 +56,8 @@ int run_converge(const ConvergeCommand& command, std::atomic<bool>& stop) {
   options.cameras_per_frame = static_cast<int>(cameras.empty() ? all_camera_ids(scene.cameras).size() : cameras.size());
   // Small unless told otherwise: a reference costs sixteen times the largest picture.
   if (command.options.frames.empty()) scene.frames.resize(1);
-  if (command.options.cameras.empty()) {
-    const std::vector<int> ids = scene.cameras.only.empty() ? all_camera_ids(scene.cameras) : scene.cameras.only;
-    scene.cameras.only.clear();
-    for (std::size_t i = 0; i < std::min<std::size_t>(3, ids.size()); ++i) scene.cameras.only.push_back(ids[i * ids.size() / 3]);
-  }
+  if (command.options.cameras.empty())
+    scene.cameras.only = some_of(scene.cameras.only.empty() ? all_camera_ids(scene.cameras) : scene.cameras.only, 3);
   if (command.options.coats.empty() && scene.coat_indices.size() > 2) scene.coat_indices = {scene.coat_indices.front(), scene.coat_indices.back()};
   if (command.options.resolution.empty()) {
     const int width = std::min(160, scene.cameras.width);
@@ -144,18 +153,6 @@ int run_rig_motion(const std::string& source, int samples, const std::string& fo
   const Species species = read_species(scene.animals[0].species, scene.normalization, fs::path(scene.file).parent_path());
   return finish_study(study_motion(scene, species, options), folder);
 }
-
-namespace {
-
-// At most n of a list, spread evenly over it.
-std::vector<int> some_of(const std::vector<int>& all, std::size_t n) {
-  if (all.size() <= n) return all;
-  std::vector<int> some;
-  for (std::size_t i = 0; i < n; ++i) some.push_back(all[i * all.size() / n]);
-  return some;
-}
-
-}  // namespace
 
 int run_crosscheck(const CrosscheckCommand& command) {
   SceneSpec scene = read_scene(command.scene);

@@ -101,7 +101,7 @@ struct IdentifyCommand {
   // Codes of the training split: what scatters among views of one coat then counts for less (scatter_normalisation); empty: as embedded.
   std::filesystem::path calibrate;
   std::filesystem::path out;               // folder; may be empty
-  // Or cosine. On the shipped model Euclidean names more right: 91.5 against 85.7 % (neural/results/README.md).
+  // Or cosine: on the shipped model 99.99 and 100.00 % of its own coats, 33.4 and 32.4 % of strangers (neural/results/).
   std::string distance = "euclidean";
   bool enforce = false;
 };

@@ -6,11 +6,11 @@
 #include <atomic>
 #include <bit>
 #include <cmath>
-#include <numeric>
 
 #include "generator/core/color.h"
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
+#include "generator/core/statistics.h"
 #include "scenes/breed_file.h"
 #include "scenes/scene.h"
 
@@ -98,15 +98,13 @@ Neighbours nearest_neighbours(const SampledHerd& herd, double bar) {
 
 namespace {
 
-double mean_of(const std::vector<double>& v) {
-  return v.empty() ? 0 : std::accumulate(v.begin(), v.end(), 0.0) / static_cast<double>(v.size());
+Moments moments_of(const std::vector<double>& v) {
+  Moments m;
+  for (const double x : v) m.add(x);
+  return m;
 }
-double deviation_of(const std::vector<double>& v) {
-  const double m = mean_of(v);
-  double sum = 0;
-  for (const double x : v) sum += (x - m) * (x - m);
-  return v.empty() ? 0 : std::sqrt(sum / static_cast<double>(v.size()));
-}
+double mean_of(const std::vector<double>& v) { return v.empty() ? 0 : moments_of(v).mean(); }
+double deviation_of(const std::vector<double>& v) { return v.empty() ? 0 : moments_of(v).deviation(); }
 double quantile(std::vector<double> v, double q) {
   if (v.empty()) return 0;
   std::sort(v.begin(), v.end());
