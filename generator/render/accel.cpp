@@ -201,6 +201,26 @@ void Accel::intersect8(Ray8& rays, bool coherent, std::uint32_t mask) const {
   }
 }
 
+void Accel::occluded8(Ray8& rays, bool coherent, std::uint32_t mask) const {
+  RTCIntersectContext context;
+  rtcInitIntersectContext(&context);
+  context.flags = coherent ? RTC_INTERSECT_CONTEXT_FLAG_COHERENT : RTC_INTERSECT_CONTEXT_FLAG_INCOHERENT;
+  alignas(32) RTCRay8 r;
+  alignas(32) int valid[8];
+  for (int i = 0; i < 8; ++i) {
+    valid[i] = rays.active[i] ? -1 : 0;
+    r.org_x[i] = rays.ox[i], r.org_y[i] = rays.oy[i], r.org_z[i] = rays.oz[i];
+    r.dir_x[i] = rays.dx[i], r.dir_y[i] = rays.dy[i], r.dir_z[i] = rays.dz[i];
+    r.tnear[i] = rays.near[i], r.tfar[i] = rays.far[i];
+    r.time[i] = 0;
+    r.mask[i] = mask;
+    r.id[i] = 0;
+    r.flags[i] = 0;
+  }
+  rtcOccluded8(valid, state_->embree, &context, &r);
+  for (int i = 0; i < 8; ++i) rays.instance[i] = valid[i] && r.tfar[i] < 0 ? 0 : no_hit;
+}
+
 const Box& Accel::bounds(bool animals_only) const { return animals_only ? state_->box_of_animals : state_->box_of_all; }
 
 std::uint64_t Accel::build_count() { return builds; }

@@ -35,6 +35,12 @@ struct alignas(32) Ray8 {
   std::array<std::int32_t, 8> active;
   std::array<float, 8> u, v;
   std::array<std::uint32_t, 8> instance, triangle;
+  void set(int i, const Ray& r, bool on) {
+    ox[i] = r.origin.x, oy[i] = r.origin.y, oz[i] = r.origin.z;
+    dx[i] = r.direction.x, dy[i] = r.direction.y, dz[i] = r.direction.z;
+    near[i] = r.near, far[i] = r.far;
+    active[i] = on;
+  }
 };
 
 enum class BuildKind : std::uint8_t {
@@ -56,6 +62,9 @@ class Accel {
   bool occluded(const Ray& ray, std::uint32_t mask = everything_mask) const;
   // Nearest hits of up to eight rays; `far` becomes the distance. coherent: a hint that they are much alike.
   void intersect8(Ray8& rays, bool coherent, std::uint32_t mask = everything_mask) const;
+
+  // Whether the rays meet anything: `instance` becomes no_hit where they do not, any other number where they do.
+  void occluded8(Ray8& rays, bool coherent, std::uint32_t mask = everything_mask) const;
 
   const Box& bounds(bool animals_only) const;  // of the scene when built, relative to its origin
 

@@ -142,17 +142,21 @@ Bsdf::Bsdf(float roughness, float metallic, const vec3& wo, float specular)
   specular_probability_ = metallic_ == 1.0f ? 1.0f : share == 0.0f ? 0.0f : std::clamp(share, 0.15f, 0.95f);
 }
 
-BaseResponse Bsdf::evaluate(const vec3& wi) const {
-  BaseResponse r;
-  if (wi.z <= 0 || wo_.z <= 0) return r;
-  const vec3 sum = wo_ + wi;
-  const vec3 h = glm::normalize(sum);
+BaseResponse Bsdf::evaluate(const vec3& wi) const { return value(wi).response; }
+
+Bsdf::Value Bsdf::value(const vec3& wi) const {
+  Value out;
+  if (wi.z <= 0 || wo_.z <= 0) return out;
+  BaseResponse& r = out.response;
+  const vec3 h = glm::normalize(wo_ + wi);
   const float oh = glm::dot(wo_, h);
-  const float dg = ggx_d(h, alpha_) * smith_g2(wo_.z, wi.z, alpha_) / (4.0f * wo_.z);  // times cos(wi)
+  const float lambda_o = smith_lambda(wo_.z, alpha_), lambda_i = smith_lambda(wi.z, alpha_);
+  const float d = ggx_d(h, alpha_) / (4.0f * wo_.z);
+  const float dg = d / (1.0f + lambda_o + lambda_i);  // times cos(wi)
   const float dielectric = 1.0f - metallic_;
   if (dielectric > 0) {
-    r.a += dielectric * dg * fresnel_dielectric(oh, bsdf_ior) * specular_;
-    const float ed_wi = specular_ * dielectric_albedo().at(wi.z, roughness_);
+    if (specular_ > 0) r.a += dielectric * dg * fresnel_dielectric(oh, bsdf_ior) * specular_;
+    const float ed_wi = specular_ > 0 ? specular_ * dielectric_albedo().at(wi.z, roughness_) : 0.0f;
     r.b += dielectric * (1.0f - ed_wo_) * (1.0f - ed_wi) / (1.0f - ed_average_) * wi.z / pi_f;
   }
   if (metallic_ > 0) {
@@ -162,32 +166,34 @@ BaseResponse Bsdf::evaluate(const vec3& wi) const {
     r.b += metallic_ * dg * ((1.0f - s5) + s5 * k);
     r.c += metallic_ * dg * (1.0f - s5) * k;
   }
-  return r;
-}
-
-float Bsdf::specular_pdf(const vec3& h) const {
-  // Density of visible normals, D G1 (wo.h) / (wo.z), over the Jacobian 4 (wo.h).
-  return ggx_d(h, alpha_) * smith_g1(wo_.z, alpha_) / (4.0f * wo_.z);
+  out.pdf = specular_probability_ * d / (1.0f + lambda_o) + (1.0f - specular_probability_) * wi.z / pi_f;
+  return out;
 }
 
 float Bsdf::pdf(const vec3& wi) const {
   if (wi.z <= 0 || wo_.z <= 0) return 0;
   const vec3 h = glm::normalize(wo_ + wi);
-  return specular_probability_ * specular_pdf(h) + (1.0f - specular_probability_) * wi.z / pi_f;
+  // Density of visible normals, D G1 (wo.h) / (wo.z), over the Jacobian 4 (wo.h).
+  const float specular = ggx_d(h, alpha_) * smith_g1(wo_.z, alpha_) / (4.0f * wo_.z);
+  return specular_probability_ * specular + (1.0f - specular_probability_) * wi.z / pi_f;
+}
+
+bool Bsdf::sample_direction(const vec2& u, float lobe, vec3& wi) const {
+  if (wo_.z <= 0) return false;
+  if (lobe < specular_probability_) {
+    const vec3 h = sample_ggx_visible_normal(wo_, alpha_, u);
+    wi = 2.0f * glm::dot(wo_, h) * h - wo_;
+  } else {
+    wi = sample_cosine_hemisphere(u);
+  }
+  if (wi.z <= 0) return false;  // below the surface: a failed sample carries nothing
+  wi = glm::normalize(wi);
+  return true;
 }
 
 BsdfSample Bsdf::sample(const vec2& u, float lobe) const {
   BsdfSample s;
-  if (wo_.z <= 0) return s;
-  if (lobe < specular_probability_) {
-    const vec3 h = sample_ggx_visible_normal(wo_, alpha_, u);
-    s.wi = 2.0f * glm::dot(wo_, h) * h - wo_;
-  } else {
-    s.wi = sample_cosine_hemisphere(u);
-  }
-  if (s.wi.z <= 0) return s;  // below the surface: a failed sample carries nothing
-  s.wi = glm::normalize(s.wi);
-  s.pdf = pdf(s.wi);
+  if (sample_direction(u, lobe, s.wi)) s.pdf = pdf(s.wi);
   return s;
 }
 

@@ -32,15 +32,23 @@ struct BsdfSample {
 // A surface point's BSDF, prepared for one outgoing direction. Directions are local, z up, unit.
 class Bsdf {
  public:
+  Bsdf() = default;  // of no surface; to be assigned
   Bsdf(float roughness, float metallic, const vec3& wo, float specular = 1);
   BaseResponse evaluate(const vec3& wi) const;  // BSDF times cos(wi), 1 / sr
   float pdf(const vec3& wi) const;              // 1 / sr
   BsdfSample sample(const vec2& u, float lobe) const;
+  // evaluate() and pdf() at once, which share most of their work.
+  struct Value {
+    BaseResponse response;
+    float pdf = 0;
+  };
+  Value value(const vec3& wi) const;
+  // The direction of sample(); false where it fails.
+  bool sample_direction(const vec2& u, float lobe, vec3& wi) const;
 
  private:
-  vec3 wo_;
-  float alpha_, roughness_, metallic_, specular_, specular_probability_, ed_wo_, ed_average_, es_wo_;
-  float specular_pdf(const vec3& h) const;
+  vec3 wo_{0, 0, 1};
+  float alpha_ = 1, roughness_ = 1, metallic_ = 0, specular_ = 0, specular_probability_ = 0, ed_wo_ = 0, ed_average_ = 0, es_wo_ = 1;
 };
 
 // Unpolarised Fresnel reflectance of a dielectric for light arriving with this cosine from outside.
@@ -55,7 +63,8 @@ vec3 sample_cosine_hemisphere(const vec2& u);
 
 // Orthonormal basis around a unit vector (Duff et al. 2017).
 struct Frame {
-  vec3 x, y, z;
+  vec3 x{1, 0, 0}, y{0, 1, 0}, z{0, 0, 1};
+  Frame() = default;
   explicit Frame(const vec3& normal);
   vec3 to_local(const vec3& v) const { return {glm::dot(v, x), glm::dot(v, y), glm::dot(v, z)}; }
   vec3 to_world(const vec3& v) const { return v.x * x + v.y * y + v.z * z; }

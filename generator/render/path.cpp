@@ -11,6 +11,7 @@ namespace moomill {
 namespace {
 
 constexpr int tile = 16;  // pixels
+constexpr int batch_size = 8;  // samples of a pixel that go side by side
 constexpr float survive_at_most = 0.8f;
 
 // Pairs of dimensions of a path: one for the filter, then a block per bounce.
@@ -67,8 +68,7 @@ bool shading_point(const Scene& scene, const SurfaceHit& hit, const vec3& wo, Sh
     if (det != 0 && tl > 1e-12f) {
       const vec3 x = tangent / tl;
       const vec3 y = glm::cross(n, x) * (det < 0 ? 1.0f : -1.0f);
-      const Texture& tex = *scene.appearance->textures[m.normal_texture];
-      vec3 local(2 * texture_value(tex, out.uv, 0) - 1, 2 * texture_value(tex, out.uv, 1) - 1, 2 * texture_value(tex, out.uv, 2) - 1);
+      vec3 local = 2.0f * texture_rgb(*scene.appearance->textures[m.normal_texture], out.uv) - 1.0f;
       local.x *= m.normal_scale;
       local.y *= m.normal_scale;
       const vec3 bent = local.x * x + local.y * y + local.z * n;
@@ -111,178 +111,338 @@ struct Counters {
   std::uint64_t paths = 0, rays = 0, not_finite = 0;
 };
 
-// Radiance along one camera ray that has met `hit`. The estimator per bounce, in solid angle:
+// Eight samples of one pixel on their way through the scene. A lane is at work while it is in `lanes`.
+template <int P>
+struct Batch {
+  Lanes<P> throughput[batch_size], radiance[batch_size];
+  float white[batch_size];  // throughput of a white base
+  SurfaceHit hit[batch_size];
+  vec3 wo[batch_size];
+  int lanes[batch_size], count = 0;
+};
+
+// What one image is traced with.
+struct Tracer {
+  const Scene& scene;
+  const Lights& lights;
+  const Accel& accel;
+  const PathOptions& options;
+};
+
+// Whether each of `count` shadow rays meets something; the first of them coherent or not.
+void occluded_rays(const Accel& accel, const Ray* rays, int count, bool coherent, bool* occluded) {
+  if (count <= 2) {
+    for (int i = 0; i < count; ++i) occluded[i] = accel.occluded(rays[i]);
+    return;
+  }
+  Ray8 packet;
+  for (int i = 0; i < batch_size; ++i) packet.set(i, rays[std::min(i, count - 1)], i < count);
+  accel.occluded8(packet, coherent);
+  for (int i = 0; i < count; ++i) occluded[i] = packet.instance[i] != no_hit;
+}
+
+void intersect_rays(const Accel& accel, const Ray* rays, int count, SurfaceHit* hits) {
+  for (int i = 0; i < count; ++i) hits[i] = accel.intersect(rays[i]);
+}
+
+// Radiance along camera rays that have met the batch's hits. The estimator per bounce, in solid angle:
 //   lights:  Le f cos / p_light * w_light      (next-event estimation)
 //   BSDF:    Le f cos / p_bsdf  * w_bsdf       (when the sampled ray meets light)
 // with power-heuristic weights. Every decision is as for a white base, so the paths are those of every coat.
 template <int P>
-void trace_path(const Scene& scene, const Lights& lights, const Accel& accel, const PathOptions& options, const PixelSampler& sampler,
-                std::uint32_t sample, SurfaceHit hit, vec3 wo, Lanes<P>& radiance, Counters& counters) {
-  Lanes<P> throughput, base, reflected;
-  throughput.fill(1.0f);
-  base.fill(0.0f);
-  float white = 1.0f;  // throughput of a white base
-  for (int bounce = 0;; ++bounce) {
-    ShadingPoint point;
-    if (!shading_point(scene, hit, wo, point)) return;
+void trace_paths(const Tracer& t, const PixelSampler& sampler, std::uint32_t first, Batch<P>& batch, Counters& counters) {
+  Lanes<P> base[batch_size], reflected;
+  ShadingPoint point[batch_size];
+  Frame frame[batch_size];
+  Bsdf bsdf[batch_size];
+  for (int l = 0; l < batch_size; ++l) base[l].fill(0.0f);
+  for (int bounce = 0; batch.count > 0; ++bounce) {
     const std::uint32_t block = bounce * pairs_per_bounce;
-    const Material& m = *point.material;
-    fetch_paint(*scene.appearance->paints[m.paint], scene.appearance->textures, point.uv, point.vertex_color, sampler.get(block + texel_pair, sample), P, &base.v[0][0]);
-    float roughness = m.roughness, metallic = m.metallic;
-    if (m.metallic_roughness_texture >= 0) {
-      roughness *= texture_value(*scene.appearance->textures[m.metallic_roughness_texture], point.uv, 1);
-      metallic *= texture_value(*scene.appearance->textures[m.metallic_roughness_texture], point.uv, 2);
+    vec2 texel_u[batch_size], choice_u[batch_size], light_u[batch_size], lobe_u[batch_size], direction_u[batch_size];
+    sampler.get8(block + texel_pair, first, texel_u);
+    sampler.get8(block + lobe_pair, first, lobe_u);
+    sampler.get8(block + direction_pair, first, direction_u);
+    if (t.lights.count() > 0) {
+      sampler.get8(block + choice_pair, first, choice_u);
+      sampler.get8(block + light_pair, first, light_u);
     }
-    const Frame frame(point.shading);
-    const Bsdf bsdf(roughness, metallic, frame.to_local(wo), m.specular);
 
-    const vec2 choice = sampler.get(block + choice_pair, sample);
-    if (lights.count() > 0) {
-      const LightSample light = lights.sample(point.position, choice.x, sampler.get(block + light_pair, sample));
-      if (light.pdf > 0 && light.radiance != vec3(0) && glm::dot(light.direction, point.geometric) > 0) {
-        const vec3 wi = frame.to_local(light.direction);
-        const BaseResponse f = bsdf.evaluate(wi);
-        if (f.white() > 0) {
-          Ray shadow{leave(point, light.direction), 0, light.direction, light.distance * (1 - 1e-5f)};
-          ++counters.rays;
-          if (!accel.occluded(shadow)) {
-            multiply(reflected, throughput, base, f, power_heuristic(light.pdf, bsdf.pdf(wi)) / light.pdf);
-            add(radiance, reflected, light.radiance);
-          }
-        }
+    Ray rays[batch_size];
+    int of[batch_size], count = 0;  // the lane of each ray
+    float weight[batch_size];
+    vec3 light_radiance[batch_size];
+    BaseResponse response[batch_size];
+    int alive = 0;
+    for (int i = 0; i < batch.count; ++i) {
+      const int l = batch.lanes[i];
+      ShadingPoint& p = point[l];
+      p = {};
+      if (!shading_point(t.scene, batch.hit[l], batch.wo[l], p)) continue;
+      batch.lanes[alive++] = l;
+      const Material& m = *p.material;
+      const auto& textures = t.scene.appearance->textures;
+      fetch_paint(*t.scene.appearance->paints[m.paint], textures, p.uv, p.vertex_color, texel_u[l], P, &base[l].v[0][0]);
+      float roughness = m.roughness, metallic = m.metallic;
+      if (m.metallic_roughness_texture >= 0) {
+        const vec3 texel = texture_rgb(*textures[m.metallic_roughness_texture], p.uv);
+        roughness *= texel.y;
+        metallic *= texel.z;
       }
+      frame[l] = Frame(p.shading);
+      bsdf[l] = Bsdf(roughness, metallic, frame[l].to_local(batch.wo[l]), m.specular);
+      if (t.lights.count() == 0) continue;
+      const LightSample light = t.lights.sample(p.position, choice_u[l].x, light_u[l]);
+      if (!(light.pdf > 0) || light.radiance == vec3(0) || !(glm::dot(light.direction, p.geometric) > 0)) continue;
+      const Bsdf::Value f = bsdf[l].value(frame[l].to_local(light.direction));
+      if (!(f.response.white() > 0)) continue;
+      rays[count] = {leave(p, light.direction), 0, light.direction, light.distance * (1 - 1e-5f)};
+      weight[count] = power_heuristic(light.pdf, f.pdf) / light.pdf;
+      light_radiance[count] = light.radiance;
+      response[count] = f.response;
+      of[count++] = l;
+    }
+    batch.count = alive;
+    bool occluded[batch_size];
+    occluded_rays(t.accel, rays, count, bounce == 0, occluded);
+    counters.rays += count;
+    for (int i = 0; i < count; ++i) {
+      if (occluded[i]) continue;
+      const int l = of[i];
+      multiply(reflected, batch.throughput[l], base[l], response[i], weight[i]);
+      add(batch.radiance[l], reflected, light_radiance[i]);
     }
 
-    const vec2 lobe = sampler.get(block + lobe_pair, sample);
-    const BsdfSample s = bsdf.sample(sampler.get(block + direction_pair, sample), lobe.x);
-    if (!(s.pdf > 0)) return;
-    const vec3 direction = frame.to_world(s.wi);
-    if (glm::dot(direction, point.geometric) <= 0) return;  // under the true surface
-    const BaseResponse f = bsdf.evaluate(s.wi);
-    multiply(throughput, throughput, base, f, 1.0f / s.pdf);
-    white *= f.white() / s.pdf;
-    const vec3 from = leave(point, direction);
-    hit = accel.intersect({from, 0, direction, std::numeric_limits<float>::infinity()});
-    ++counters.rays;
-    const float distance = hit.valid() ? hit.t : std::numeric_limits<float>::infinity();
-    const vec3 light = lights.seen_by_bsdf_ray(from, direction, s.pdf, distance);
-    if (light != vec3(0)) add(radiance, throughput, light);
-    if (!hit.valid()) return;
-    if (options.max_bounces > 0 && bounce + 1 >= options.max_bounces) return;
-    if (bounce + 1 >= options.roulette_from) {
-      const float survive = std::min(survive_at_most, white);
-      if (!(lobe.y < survive)) return;
-      const float gain = 1.0f / survive;
-      for (auto& c : throughput.v)
-        for (float& t : c) t *= gain;
-      white *= gain;
+    float pdf[batch_size];
+    count = 0;
+    for (int i = 0; i < batch.count; ++i) {
+      const int l = batch.lanes[i];
+      vec3 wi;
+      if (!bsdf[l].sample_direction(direction_u[l], lobe_u[l].x, wi)) continue;
+      const Bsdf::Value f = bsdf[l].value(wi);
+      if (!(f.pdf > 0)) continue;
+      const vec3 direction = frame[l].to_world(wi);
+      if (glm::dot(direction, point[l].geometric) <= 0) continue;  // under the true surface
+      multiply(batch.throughput[l], batch.throughput[l], base[l], f.response, 1.0f / f.pdf);
+      batch.white[l] *= f.response.white() / f.pdf;
+      rays[count] = {leave(point[l], direction), 0, direction, std::numeric_limits<float>::infinity()};
+      pdf[count] = f.pdf;
+      of[count++] = l;
     }
-    wo = -direction;
+    SurfaceHit hits[batch_size];
+    intersect_rays(t.accel, rays, count, hits);
+    counters.rays += count;
+    alive = 0;
+    for (int i = 0; i < count; ++i) {
+      const int l = of[i];
+      const bool met = hits[i].valid();
+      const vec3 light = t.lights.seen_by_bsdf_ray(rays[i].origin, rays[i].direction, pdf[i], met ? hits[i].t : std::numeric_limits<float>::infinity());
+      if (light != vec3(0)) add(batch.radiance[l], batch.throughput[l], light);
+      if (!met || (t.options.max_bounces > 0 && bounce + 1 >= t.options.max_bounces)) continue;
+      if (bounce + 1 >= t.options.roulette_from) {
+        const float survive = std::min(survive_at_most, batch.white[l]);
+        if (!(lobe_u[l].y < survive)) continue;
+        const float gain = 1.0f / survive;
+        for (auto& c : batch.throughput[l].v)
+          for (float& v : c) v *= gain;
+        batch.white[l] *= gain;
+      }
+      batch.hit[l] = hits[i];
+      batch.wo[l] = -rays[i].direction;
+      batch.lanes[alive++] = l;
+    }
+    batch.count = alive;
   }
 }
 
-// All samples of one pixel.
-template <int P>
-void trace_pixel(const Scene& scene, const Lights& lights, const Accel& accel, const Camera& camera, const PathOptions& options,
-                 const PixelFilter& filter, int x, int y, Lanes<P>& mean, float& alpha, Counters& counters) {
-  const PixelSampler sampler(options.stream, static_cast<std::uint64_t>(y) * camera.width + x);
-  const vec3 origin(camera.centre - scene.origin);
-  mean.fill(0.0f);
-  Lanes<P> lost;  // what the sums so far have lost to rounding (Kahan 1965): a plain sum of a million samples is 1 % off
-  lost.fill(0.0f);
-  int seen = 0;
-  for (int first = 0; first < options.samples; first += 8) {
-    const int n = std::min(8, options.samples - first);
-    Ray8 rays;
-    vec3 direction[8];
-    for (int i = 0; i < 8; ++i) {
-      const vec2 xi = sampler.get(filter_pair, first + i);
-      const dvec3 d = camera.direction(x + 0.5 + filter.sample(xi.x), y + 0.5 + filter.sample(xi.y));
-      direction[i] = vec3(glm::normalize(d));
-      rays.ox[i] = origin.x, rays.oy[i] = origin.y, rays.oz[i] = origin.z;
-      rays.dx[i] = direction[i].x, rays.dy[i] = direction[i].y, rays.dz[i] = direction[i].z;
-      rays.near[i] = 0;
-      rays.far[i] = std::numeric_limits<float>::infinity();
-      rays.active[i] = i < n;
+// Where the samples of every pixel lie within it, and what they count in the pixels around. All pixels of an image have
+// the same places: so the weights of the samples that reach a pixel add up alike everywhere, and dividing by their sum, which
+// keeps even areas even at any number of samples, is a constant factor that tends to 1.
+struct SamplePlaces {
+  int reach;                   // pixels each way
+  std::vector<vec2> position;  // per sample: within the pixel, [0, 1)^2; around its centre where reach is 0
+  std::vector<float> weight;   // per sample: of columns -reach .. reach, then of rows
+
+  SamplePlaces(const PixelFilter& filter, std::uint64_t stream, int samples) : reach(filter.reach()), position(samples) {
+    const PixelSampler sampler(stream, ~0ull);
+    const int side = 2 * reach + 1;
+    weight.assign(2 * side * static_cast<std::size_t>(samples), 1.0f);
+    double total = 0;
+    for (int s = 0; s < samples; ++s) {
+      const vec2 u = sampler.get(filter_pair, s);
+      position[s] = reach > 0 ? u : vec2(0.5f + filter.sample(u.x), 0.5f + filter.sample(u.y));
+      if (reach == 0) continue;
+      double sum[2] = {0, 0};
+      for (int axis = 0; axis < 2; ++axis)
+        for (int k = 0; k < side; ++k) {
+          const float w = filter.weight(std::abs(position[s][axis] - 0.5f - static_cast<float>(k - reach)));
+          weight[(2 * static_cast<std::size_t>(s) + axis) * side + k] = w;
+          sum[axis] += w;
+        }
+      total += sum[0] * sum[1] / samples;
     }
-    accel.intersect8(rays, true);
+    if (reach > 0)
+      for (float& w : weight) w /= static_cast<float>(std::sqrt(total));
+  }
+  const float* of(int sample) const { return &weight[2 * static_cast<std::size_t>(sample) * (2 * reach + 1)]; }
+};
+
+// Sums of a pixel, with what they have lost to rounding so far (Kahan 1965): a plain sum of a million samples is 1 % off.
+template <int P>
+struct PixelSums {
+  static constexpr int values = 3 * P + 1;  // radiance as in Lanes, then alpha
+  float sum[values] = {}, lost[values] = {};
+  void add(const float* more) {
+    for (int i = 0; i < values; ++i) {
+      const float e = more[i] - lost[i], s = sum[i] + e;
+      lost[i] = (s - sum[i]) - e;
+      sum[i] = s;
+    }
+  }
+};
+
+// All samples of pixel (x, y), which may lie outside the image, added to the sums around `centre`, a pixel of rows `stride` wide.
+template <int P>
+void trace_pixel(const Tracer& t, const Camera& camera, const SamplePlaces& places, int x, int y, PixelSums<P>* centre, int stride,
+                 Counters& counters) {
+  const PathOptions& options = t.options;
+  const PixelSampler sampler = PixelSampler::in_image(options.stream, x + places.reach, y + places.reach, options.samples);
+  const vec3 origin(camera.centre - t.scene.origin);
+  Batch<P> batch;
+  for (int first = 0; first < options.samples; first += batch_size) {
+    const int n = std::min(batch_size, options.samples - first);
+    Ray8 rays;
+    vec3 direction[batch_size];
+    for (int i = 0; i < batch_size; ++i) {
+      const vec2 at = places.position[std::min(first + i, options.samples - 1)];
+      direction[i] = vec3(glm::normalize(camera.direction(static_cast<double>(x) + at.x, static_cast<double>(y) + at.y)));
+      rays.set(i, {origin, 0, direction[i], std::numeric_limits<float>::infinity()}, i < n);
+    }
+    t.accel.intersect8(rays, true);
     counters.paths += n;
     counters.rays += n;
+    bool seen[batch_size] = {};
+    int any = 0;
+    batch.count = 0;
     for (int i = 0; i < n; ++i) {
-      Lanes<P> radiance;
-      radiance.fill(0.0f);
-      if (rays.instance[i] == no_hit) {
-        if (!options.environment_visible) continue;
-        ++seen;
-        Lanes<P> one;
-        one.fill(1.0f);
-        add(radiance, one, lights.environment->radiance(direction[i]));
-      } else {
-        ++seen;
-        const SurfaceHit hit{rays.instance[i], rays.triangle[i], rays.u[i], rays.v[i], rays.far[i]};
-        trace_path(scene, lights, accel, options, sampler, first + i, hit, -direction[i], radiance, counters);
-      }
-      float total = 0;
-      for (auto& c : radiance.v)
-        for (float t : c) total += t;
-      if (!std::isfinite(total)) {
-        ++counters.not_finite;
+      const bool met = rays.instance[i] != no_hit;
+      if (!met && !options.environment_visible) continue;
+      seen[i] = true;
+      ++any;
+      batch.radiance[i].fill(0.0f);
+      batch.throughput[i].fill(1.0f);
+      if (!met) {
+        add(batch.radiance[i], batch.throughput[i], t.lights.environment->radiance(direction[i]));
         continue;
       }
-      for (int k = 0; k < 3; ++k)
-        for (int t = 0; t < P; ++t) {
-          const float e = radiance.v[k][t] - lost.v[k][t], sum = mean.v[k][t] + e;
-          lost.v[k][t] = (sum - mean.v[k][t]) - e;
-          mean.v[k][t] = sum;
-        }
+      batch.white[i] = 1.0f;
+      batch.hit[i] = {rays.instance[i], rays.triangle[i], rays.u[i], rays.v[i], rays.far[i]};
+      batch.wo[i] = -direction[i];
+      batch.lanes[batch.count++] = i;
     }
+    if (any == 0) continue;
+    trace_paths(t, sampler, first, batch, counters);
+
+    for (int i = 0; i < n; ++i) {
+      if (!seen[i]) continue;
+      float total = 0;
+      for (auto& c : batch.radiance[i].v)
+        for (float v : c) total += v;
+      if (std::isfinite(total)) continue;
+      ++counters.not_finite;
+      batch.radiance[i].fill(0.0f);
+    }
+    const int side = 2 * places.reach + 1;
+    for (int row = 0; row < side; ++row)
+      for (int column = 0; column < side; ++column) {
+        alignas(32) float part[PixelSums<P>::values] = {};
+        for (int i = 0; i < n; ++i) {
+          if (!seen[i]) continue;
+          const float* w = places.of(first + i);
+          const float weight = w[column] * w[side + row];
+          const float* values = &batch.radiance[i].v[0][0];
+          for (int k = 0; k < 3 * P; ++k) part[k] += weight * values[k];
+          part[3 * P] += weight;
+        }
+        centre[(row - places.reach) * stride + column - places.reach].add(part);
+      }
   }
-  const float scale = 1.0f / options.samples;
-  for (auto& c : mean.v)
-    for (float& t : c) t *= scale;
-  alpha = seen * scale;
+}
+
+// Pixels within `reach` of those in the mask; pixel (x, y) of it is (x - reach, y - reach) of the image.
+PixelMask within_reach(const PixelMask& mask, int reach) {
+  PixelMask out(mask.width + 2 * reach, mask.height + 2 * reach);
+  for (int y = 0; y < mask.height; ++y)
+    for (int x = 0; x < mask.width;) {
+      if (!mask.get(x, y)) {
+        ++x;
+        continue;
+      }
+      const int begin = x;
+      while (x < mask.width && mask.get(x, y)) ++x;
+      for (int row = y; row <= y + 2 * reach; ++row) out.set_span(row, begin, x - 1 + 2 * reach);
+    }
+  return out;
 }
 
 template <int P>
-void trace_tiles(const Scene& scene, const Lights& lights, const Accel& accel, const Camera& camera, const PixelMask& mask,
-                 const PathOptions& options, Radiance& out) {
-  const PixelFilter filter(options.filter_radius);
-  const int tiles_x = (camera.width + tile - 1) / tile, tiles_y = (camera.height + tile - 1) / tile;
+void trace_tiles(const Tracer& t, const Camera& camera, const PixelMask& mask, Radiance& out) {
+  const SamplePlaces places(PixelFilter(t.options.filter_radius), t.options.stream, t.options.samples);
+  const int reach = places.reach, width = camera.width + 2 * reach, height = camera.height + 2 * reach;
+  const PixelMask traced = within_reach(mask, reach);
+  const int tiles_x = (width + tile - 1) / tile, tiles_y = (height + tile - 1) / tile;
+  const float scale = 1.0f / t.options.samples;
   std::atomic<std::uint64_t> paths{0}, rays{0}, not_finite{0};
-  parallel_for(static_cast<std::size_t>(tiles_x) * tiles_y, 1, [&](std::size_t index) {
-    const int x0 = static_cast<int>(index % tiles_x) * tile, y0 = static_cast<int>(index / tiles_x) * tile;
-    Counters counters;
-    for (int y = y0; y < std::min(y0 + tile, camera.height); ++y)
-      for (int x = x0; x < std::min(x0 + tile, camera.width); ++x) {
-        if (!mask.get(x, y)) continue;
-        Lanes<P> mean;
-        float alpha;
-        trace_pixel(scene, lights, accel, camera, options, filter, x, y, mean, alpha, counters);
-        for (std::size_t t = 0; t < out.coats.size(); ++t) {
-          float* p = &out.coats[t].data[out.coats[t].index(x, y)];
-          for (int k = 0; k < 3; ++k) p[k] = mean.v[k][t];
-          p[3] = alpha;
+  check(2 * reach <= tile, "a pixel filter reaches at most 8 pixels");
+  // A tile adds to pixels up to `reach` around it. Every other tile in both directions at a time: they share no pixel, and the order in
+  // which a pixel's parts are added does not depend on threads.
+  for (int phase = 0; phase < 4; ++phase) {
+    const int across = (tiles_x + 1 - (phase & 1)) / 2, down = (tiles_y + 1 - (phase >> 1)) / 2;
+    parallel_for(static_cast<std::size_t>(across) * down, 1, [&](std::size_t index) {
+      const int x0 = (2 * static_cast<int>(index % across) + (phase & 1)) * tile, y0 = (2 * static_cast<int>(index / across) + (phase >> 1)) * tile;
+      const int stride = tile + 2 * reach;
+      std::vector<PixelSums<P>> sums;
+      Counters counters;
+      for (int y = y0; y < std::min(y0 + tile, height); ++y)
+        for (int x = x0; x < std::min(x0 + tile, width); ++x) {
+          if (!traced.get(x, y)) continue;
+          if (sums.empty()) sums.resize(static_cast<std::size_t>(stride) * stride);
+          trace_pixel(t, camera, places, x - reach, y - reach, &sums[(y - y0 + reach) * stride + x - x0 + reach], stride, counters);
         }
-      }
-    paths += counters.paths;
-    rays += counters.rays;
-    not_finite += counters.not_finite;
-  });
+      if (sums.empty()) return;
+      for (int j = 0; j < stride; ++j)
+        for (int i = 0; i < stride; ++i) {
+          const int x = x0 + i - 2 * reach, y = y0 + j - 2 * reach;
+          if (x < 0 || y < 0 || x >= camera.width || y >= camera.height || !mask.get(x, y)) continue;
+          const float* sum = sums[j * stride + i].sum;
+          if (sum[3 * P] == 0) continue;  // nothing was seen
+          for (std::size_t c = 0; c < out.coats.size(); ++c) {
+            float* p = &out.coats[c].data[out.coats[c].index(x, y)];
+            for (int k = 0; k < 3; ++k) p[k] += sum[k * P + c] * scale;
+            p[3] += sum[3 * P] * scale;
+          }
+        }
+      paths += counters.paths;
+      rays += counters.rays;
+      not_finite += counters.not_finite;
+    });
+  }
   out.paths = paths;
   out.rays = rays;
   out.not_finite = not_finite;
 }
 
+double blackman_harris(double x) {  // over [0, 1]; Harris 1978, four terms
+  const double a = 2 * pi * x;
+  return 0.35875 - 0.48829 * std::cos(a) + 0.14128 * std::cos(2 * a) - 0.01168 * std::cos(3 * a);
+}
+
 }  // namespace
 
-PixelFilter::PixelFilter(double radius) {
-  // Harris 1978, four-term Blackman-Harris window, integrated and inverted by a table.
+PixelFilter::PixelFilter(double radius) : radius_(radius) {
+  // Integrated and inverted by a table.
   constexpr int n = 1024;
   std::vector<double> cumulative(n + 1, 0.0);
-  for (int i = 0; i < n; ++i) {
-    const double x = (i + 0.5) / n, a = 2 * pi * x;
-    cumulative[i + 1] = cumulative[i] + 0.35875 - 0.48829 * std::cos(a) + 0.14128 * std::cos(2 * a) - 0.01168 * std::cos(3 * a);
-  }
+  for (int i = 0; i < n; ++i) cumulative[i + 1] = cumulative[i] + blackman_harris((i + 0.5) / n);
   inverse_.resize(n + 1);
   int k = 0;
   for (int i = 0; i <= n; ++i) {
@@ -300,6 +460,11 @@ float PixelFilter::sample(float xi) const {
   return inverse_[i] + (x - static_cast<float>(i)) * (inverse_[i + 1] - inverse_[i]);
 }
 
+float PixelFilter::weight(float distance) const {
+  if (!(distance < radius_)) return 0;
+  return static_cast<float>(blackman_harris(0.5 + 0.5 * distance / radius_) / (2 * radius_ * 0.35875));
+}
+
 Radiance trace_radiance(const Scene& scene, const Lights& lights, const Accel& accel, const Camera& camera, const PixelMask& mask,
                         const PathOptions& options) {
   Radiance out;
@@ -307,14 +472,15 @@ Radiance trace_radiance(const Scene& scene, const Lights& lights, const Accel& a
   check(scene.appearance->coat_count >= 1 && scene.appearance->coat_count <= 32, "a batch holds 1 to 32 coats");
   check(options.samples >= 1, "at least one sample a pixel");
   for (const auto& p : scene.appearance->paints) check(static_cast<int>(p->coats.size()) == scene.appearance->coat_count, "a paint has another number of coats");
+  const Tracer tracer{scene, lights, accel, options};
   if (scene.appearance->coat_count <= 1)
-    trace_tiles<1>(scene, lights, accel, camera, mask, options, out);
+    trace_tiles<1>(tracer, camera, mask, out);
   else if (scene.appearance->coat_count <= 4)
-    trace_tiles<4>(scene, lights, accel, camera, mask, options, out);
+    trace_tiles<4>(tracer, camera, mask, out);
   else if (scene.appearance->coat_count <= 12)
-    trace_tiles<12>(scene, lights, accel, camera, mask, options, out);
+    trace_tiles<12>(tracer, camera, mask, out);
   else
-    trace_tiles<32>(scene, lights, accel, camera, mask, options, out);
+    trace_tiles<32>(tracer, camera, mask, out);
   return out;
 }
 

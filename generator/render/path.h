@@ -1,5 +1,6 @@
 #pragma once
 // The path tracer: radiance of every coat of the batch from one set of paths.
+#include <cmath>
 #include <cstdint>
 #include <vector>
 
@@ -25,17 +26,25 @@ struct Radiance {
 };
 
 // Estimates the radiance of the pixels in `mask`; others stay 0. Alpha: share of the filter that sees a surface (or,
-// with a visible environment, 1). Same bits for a coat in any batch, and for any number of threads.
+// with a visible environment, 1). Same bits for a coat in any batch, and for any number of threads. Where the filter is
+// wider than a pixel, a sample counts in every pixel it reaches, so neighbours' errors are correlated.
 Radiance trace_radiance(const Scene& scene, const Lights& lights, const Accel& accel, const Camera& camera,
                         const PixelMask& mask, const PathOptions& options);
 
-// Position of a sample within the Blackman-Harris window of the given radius, from a uniform number.
+// The pixel filter: a Blackman-Harris window of `radius` pixels, along each axis.
 class PixelFilter {
  public:
   explicit PixelFilter(double radius);
-  float sample(float xi) const;  // pixels from the centre, in [-radius, radius]
+  float sample(float xi) const;  // pixels from the centre, in [-radius, radius], distributed as the window
+  float weight(float distance) const;  // the window's density at so many pixels from the centre; its integral is 1
+  double radius() const { return radius_; }
+  // How many pixels each way a sample anywhere in a pixel adds to. 0 for windows no wider than 2 pixels: samples shared by so
+  // few would have weights that scatter more than the sharing gains, so each pixel draws its own from the window.
+  int reach() const { return radius_ <= 1 ? 0 : static_cast<int>(std::ceil(radius_ - 0.5)); }
+
  private:
-  std::vector<float> inverse_;   // inverse of the cumulative window
+  double radius_;
+  std::vector<float> inverse_;  // inverse of the cumulative window
 };
 
 }  // namespace moomill

@@ -3,6 +3,8 @@
 // on the order of evaluation. Each pair of dimensions is the first two dimensions of Sobol's sequence, shuffled and
 // Owen-scrambled by hashing (Burley, "Practical Hash-based Owen Scrambling", JCGT 2020; hash of Laine & Karras 2011
 // with the constants of Vegdahl 2021), padded by decorrelated seeds.
+#include <algorithm>
+#include <bit>
 #include <cstdint>
 
 #include "generator/core/math.h"
@@ -41,22 +43,50 @@ inline float unit_float(std::uint32_t x) { return static_cast<float>(x >> 8) * 0
 // Samples of one pixel.
 class PixelSampler {
  public:
-  // stream: hash of (seed, frame, camera); pixel: index in the image.
+  // A pixel on its own. stream: hash of (seed, frame, camera); pixel: any number that tells pixels apart.
   PixelSampler(std::uint64_t stream, std::uint64_t pixel) : key_(mix64(stream ^ mix64(pixel + 0x9e3779b97f4a7c15ull))) {}
+
+  // Pixel (x, y), from 0 on, of an image with `samples` a pixel. The pixels of a block take consecutive runs of one sequence
+  // along a Z-order curve (Ahmed & Wonka, "Screen-space blue-noise diffusion of Monte Carlo sampling error via hierarchical
+  // ordering of pixels", 2020): each has a well-spread set, and so have 2 x 2, 4 x 4, ... pixels together. So what a filter averages
+  // over neighbours converges faster than with independent pixels. The errors of pixels are correlated.
+  static PixelSampler in_image(std::uint64_t stream, std::uint32_t x, std::uint32_t y, int samples) {
+    const int bits = std::bit_width(static_cast<std::uint32_t>(std::max(samples, 1) - 1));  // of the index within a pixel
+    const int side = std::min(8, (32 - bits) / 2);                                          // bits of a coordinate within a block
+    PixelSampler s(stream, (static_cast<std::uint64_t>(y >> side) << 32) | (x >> side));
+    const std::uint32_t within = (1u << side) - 1;
+    s.first_ = bits >= 32 ? 0 : (spread_bits(x & within) | (spread_bits(y & within) << 1)) << bits;
+    return s;
+  }
 
   // Sample `index` of the pair of dimensions `pair`, in [0, 1)^2.
   vec2 get(std::uint32_t pair, std::uint32_t index) const {
-    const std::uint64_t h = mix64(key_ + pair * 0xd6e8feb86659fd93ull);
-    const auto shuffle = static_cast<std::uint32_t>(h);
-    const std::uint64_t h2 = mix64(h);
-    const std::uint32_t i = reverse_bits(scramble_reversed(reverse_bits(index), shuffle));
-    const std::uint32_t x = scramble_reversed(i, static_cast<std::uint32_t>(h2));
-    const std::uint32_t y = scramble_reversed(sobol_second_reversed(i), static_cast<std::uint32_t>(h2 >> 32));
-    return {unit_float(reverse_bits(x)), unit_float(reverse_bits(y))};
+    const std::uint64_t h = mix64(key_ + pair * 0xd6e8feb86659fd93ull), h2 = mix64(h);
+    return point(first_ + index, static_cast<std::uint32_t>(h), static_cast<std::uint32_t>(h2), static_cast<std::uint32_t>(h2 >> 32));
+  }
+
+  // get() of eight samples from `index` on, side by side.
+  void get8(std::uint32_t pair, std::uint32_t index, vec2* out) const {
+    const std::uint64_t h = mix64(key_ + pair * 0xd6e8feb86659fd93ull), h2 = mix64(h);
+    const auto shuffle = static_cast<std::uint32_t>(h), sx = static_cast<std::uint32_t>(h2), sy = static_cast<std::uint32_t>(h2 >> 32);
+    for (std::uint32_t i = 0; i < 8; ++i) out[i] = point(first_ + index + i, shuffle, sx, sy);
   }
 
  private:
+  static vec2 point(std::uint32_t index, std::uint32_t shuffle, std::uint32_t scramble_x, std::uint32_t scramble_y) {
+    const std::uint32_t i = reverse_bits(scramble_reversed(reverse_bits(index), shuffle));
+    const std::uint32_t x = scramble_reversed(i, scramble_x);
+    const std::uint32_t y = scramble_reversed(sobol_second_reversed(i), scramble_y);
+    return {unit_float(reverse_bits(x)), unit_float(reverse_bits(y))};
+  }
+  static std::uint32_t spread_bits(std::uint32_t x) {  // a zero bit before each of the lowest 8
+    x = (x | (x << 4)) & 0x0f0fu;
+    x = (x | (x << 2)) & 0x3333u;
+    return (x | (x << 1)) & 0x5555u;
+  }
+
   std::uint64_t key_;
+  std::uint32_t first_ = 0;
 };
 
 }  // namespace moomill

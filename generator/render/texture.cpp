@@ -55,19 +55,40 @@ glm::ivec2 choose_texel(const TexturePlacement& placement, int width, int height
   return {wrap(ix, width, placement.wrap_u), wrap(iy, height, placement.wrap_v)};
 }
 
-float texture_value(const Texture& texture, const vec2& uv, int channel) {
+namespace {
+
+// The four texels around a point and their weights.
+struct Corners {
+  const std::uint8_t* texel[4];
+  float fx, fy;
+  float mix(int c) const {
+    const float top = texel[0][c] * (1 - fx) + texel[1][c] * fx, bottom = texel[2][c] * (1 - fx) + texel[3][c] * fx;
+    return (top * (1 - fy) + bottom * fy) / 255.0f;
+  }
+};
+Corners corners_at(const Texture& texture, const vec2& uv) {
   const Image8& im = texture.image;
   const vec2 q = place(texture.placement, uv);
   const float x = texel_coordinate(q.x, im.width), y = texel_coordinate(q.y, im.height);
-  const float x0 = std::floor(x), y0 = std::floor(y), fx = x - x0, fy = y - y0;
-  const int c = std::min(channel, im.channels - 1);
+  const float x0 = std::floor(x), y0 = std::floor(y);
   const int xa = wrap(static_cast<int>(x0), im.width, texture.placement.wrap_u);
   const int xb = wrap(static_cast<int>(x0) + 1, im.width, texture.placement.wrap_u);
   const int ya = wrap(static_cast<int>(y0), im.height, texture.placement.wrap_v);
   const int yb = wrap(static_cast<int>(y0) + 1, im.height, texture.placement.wrap_v);
-  const float top = im.at(xa, ya, c) * (1 - fx) + im.at(xb, ya, c) * fx;
-  const float bottom = im.at(xa, yb, c) * (1 - fx) + im.at(xb, yb, c) * fx;
-  return (top * (1 - fy) + bottom * fy) / 255.0f;
+  const std::uint8_t* data = im.data.data();
+  return {{data + im.index(xa, ya), data + im.index(xb, ya), data + im.index(xa, yb), data + im.index(xb, yb)}, x - x0, y - y0};
+}
+
+}  // namespace
+
+float texture_value(const Texture& texture, const vec2& uv, int channel) {
+  return corners_at(texture, uv).mix(std::min(channel, texture.image.channels - 1));
+}
+
+vec3 texture_rgb(const Texture& texture, const vec2& uv) {
+  const Corners corners = corners_at(texture, uv);
+  const int last = texture.image.channels - 1;
+  return {corners.mix(0), corners.mix(std::min(1, last)), corners.mix(std::min(2, last))};
 }
 
 void build_stack(Paint& paint, const std::vector<const Image8*>& images) {

@@ -31,6 +31,7 @@ glm::ivec2 choose_texel(const TexturePlacement& placement, int width, int height
 
 // Channel of a texture at uv, [0, 1], bilinear, not colour-converted. For roughness, metalness, normals and alpha.
 float texture_value(const Texture& texture, const vec2& uv, int channel);
+vec3 texture_rgb(const Texture& texture, const vec2& uv);  // its channels 0, 1, 2 at once; the last one stands for those it lacks
 
 // Base colours of one material for every coat of the batch. The sampling never depends on them.
 struct Paint {
