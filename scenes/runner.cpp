@@ -227,6 +227,10 @@ Frame Mill::prepare(int frame) const {
     g->accel = std::make_unique<Accel>(scene);
     ++counts_.hierarchies;
   }
+  if (g->accel && batches() > 0 && !spec_.light.environment_file) {
+    const StageTimer timer("light");
+    g->sky = sky_shares(scene, *g->accel);
+  }
   f.geometry = g;
   std::lock_guard lock(mutex_);
   last_geometry_ = g;
@@ -405,6 +409,7 @@ View Mill::trace_coats(const Frame& frame, const CameraRecord& record, const Dre
   options.samples = resampling.samples > 0 ? resampling.samples : spec_.render.samples;
   options.max_bounces = spec_.render.max_bounces;
   options.filter_radius = spec_.render.filter_radius;
+  if (!frame.geometry->sky.empty()) options.sky = &frame.geometry->sky;
   options.environment_visible = spec_.background.kind == BackgroundSpec::Kind::environment;
   options.stream = stream_of(spec_, frame.number, record.id, Stream::light);
   if (resampling.repetition != 0) options.stream = hash_identity({options.stream, resampling.repetition});

@@ -9,6 +9,7 @@
 #include "generator/render/accel.h"
 #include "generator/render/light.h"
 #include "generator/render/scene.h"
+#include "generator/render/surface_light.h"
 #include "scenes/scene.h"
 
 namespace moomill {
@@ -27,6 +28,7 @@ struct FrameGeometry {
   std::vector<dmat4> placement;
   Scene scene;
   std::unique_ptr<Accel> accel;  // null when nothing is traced
+  SkyShares sky;                 // empty where no even sky shines
 };
 
 struct Frame {

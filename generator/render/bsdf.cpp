@@ -37,13 +37,13 @@ struct AlbedoTable {
         const float x = i / float(cosines - 1), co = std::max(x * x, 1e-4f);
         const vec3 wo(std::sqrt(1.0f - co * co), 0.0f, co);
         // Strata in the radius are finer towards its end: the long tail of GGX decides what falls below the horizon.
-        constexpr int radii = 48, angles = 16;
+        constexpr int radii = 64, angles = 16;  // of half the circle: the other half mirrors it
         double sum = 0, weights = 0;
         for (int a = 0; a < radii; ++a) {
           const float q = 1.0f - (a + 0.5f) / radii, weight = q * q;
           weights += weight * angles;
           for (int b = 0; b < angles; ++b) {
-            const vec3 h = sample_ggx_visible_normal(wo, alpha, {1.0f - q * q * q, (b + 0.5f) / angles});
+            const vec3 h = sample_ggx_visible_normal(wo, alpha, {1.0f - q * q * q, 0.5f * (b + 0.5f) / angles - 0.25f});
             const float oh = glm::dot(wo, h);
             const vec3 wi = 2.0f * oh * h - wo;
             if (wi.z > 0 && oh > 0) sum += weight * fresnel(oh) * smith_g2(co, wi.z, alpha) / smith_g1(co, alpha);
@@ -128,7 +128,7 @@ Frame::Frame(const vec3& n) : z(n) {
   y = {b, sign + n.y * n.y * a, -n.y};
 }
 
-Bsdf::Bsdf(float roughness, float metallic, const vec3& wo, float specular)
+Bsdf::Bsdf(float roughness, float metallic, const vec3& wo, float specular, float least_specular)
     : wo_(wo),
       alpha_(alpha_of(std::clamp(roughness, 0.0f, 1.0f))),
       roughness_(std::sqrt(alpha_)),
@@ -137,9 +137,9 @@ Bsdf::Bsdf(float roughness, float metallic, const vec3& wo, float specular)
   ed_wo_ = specular_ * dielectric_albedo().at(wo.z, roughness_);
   ed_average_ = specular_ * dielectric_albedo().average_at(roughness_);
   es_wo_ = metallic_ > 0 ? mirror_albedo().at(wo.z, roughness_) : 1.0f;
-  // As for a white base. A floor keeps the highlight of dark coats from being sampled too rarely.
+  // As for a white base.
   const float share = metallic_ + (1.0f - metallic_) * ed_wo_;
-  specular_probability_ = metallic_ == 1.0f ? 1.0f : share == 0.0f ? 0.0f : std::clamp(share, 0.15f, 0.95f);
+  specular_probability_ = metallic_ == 1.0f ? 1.0f : share == 0.0f ? 0.0f : std::clamp(share, least_specular, 0.95f);
 }
 
 BaseResponse Bsdf::evaluate(const vec3& wi) const { return value(wi).response; }
@@ -168,6 +168,14 @@ Bsdf::Value Bsdf::value(const vec3& wi) const {
   }
   out.pdf = specular_probability_ * d / (1.0f + lambda_o) + (1.0f - specular_probability_) * wi.z / pi_f;
   return out;
+}
+
+BaseResponse Bsdf::albedo() const {
+  BaseResponse r;
+  if (wo_.z <= 0) return r;
+  r.a = (1.0f - metallic_) * ed_wo_;
+  r.b = (1.0f - metallic_) * (1.0f - ed_wo_);
+  return r;
 }
 
 float Bsdf::pdf(const vec3& wi) const {

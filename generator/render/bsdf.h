@@ -33,7 +33,9 @@ struct BsdfSample {
 class Bsdf {
  public:
   Bsdf() = default;  // of no surface; to be assigned
-  Bsdf(float roughness, float metallic, const vec3& wo, float specular = 1);
+  // least_specular: the least chance of the specular lobe to be sampled, where there is one. Its share as of a white base is best for
+  // that; for dark coats, whose highlights are most of what they send back, more is.
+  Bsdf(float roughness, float metallic, const vec3& wo, float specular = 1, float least_specular = 0.15f);
   BaseResponse evaluate(const vec3& wi) const;  // BSDF times cos(wi), 1 / sr
   float pdf(const vec3& wi) const;              // 1 / sr
   BsdfSample sample(const vec2& u, float lobe) const;
@@ -43,6 +45,10 @@ class Bsdf {
     float pdf = 0;
   };
   Value value(const vec3& wi) const;
+  // Integral of evaluate() over the hemisphere, from tables.
+  BaseResponse albedo() const;
+  // Whether albedo() is right within 6e-5 of the whole: for narrow lobes the table is too coarse, and metals have none.
+  bool albedo_is_known() const { return roughness_ >= 0.4f && metallic_ == 0; }
   // The direction of sample(); false where it fails.
   bool sample_direction(const vec2& u, float lobe, vec3& wi) const;
 

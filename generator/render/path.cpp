@@ -35,10 +35,11 @@ struct ShadingPoint {
   vec2 uv{0};
   vec3 vertex_color{1};
   const Material* material = nullptr;
+  float sky = 0;  // guess of the share of the sky it sees
 };
 
 // False for a triangle without area: it reflects nothing.
-bool shading_point(const Scene& scene, const SurfaceHit& hit, const vec3& wo, ShadingPoint& out) {
+bool shading_point(const Scene& scene, const SkyShares* sky, const SurfaceHit& hit, const vec3& wo, ShadingPoint& out) {
   const Instance& in = scene.instances[hit.instance];
   const Surface& s = *in.surface;
   const uvec3 t = s.triangles[hit.triangle];
@@ -54,6 +55,11 @@ bool shading_point(const Scene& scene, const SurfaceHit& hit, const vec3& wo, Sh
   n = length > 1e-6f ? n / length : out.geometric;
   out.uv = s.uvs.empty() ? vec2(0) : w * s.uvs[t[0]] + u * s.uvs[t[1]] + v * s.uvs[t[2]];
   if (!s.colors.empty()) out.vertex_color = w * s.colors[t[0]] + u * s.colors[t[1]] + v * s.colors[t[2]];
+  // Guessed for the side that the normals point to.
+  if (sky && (glm::dot(out.geometric, wo) > 0) == (glm::dot(out.geometric, n) > 0)) {
+    const std::vector<float>& share = (*sky)[hit.instance];
+    out.sky = w * share[t[0]] + u * share[t[1]] + v * share[t[2]];
+  }
   const Material& m = scene.material(in, hit.triangle);
   out.material = &m;
 
@@ -149,10 +155,16 @@ void intersect_rays(const Accel& accel, const Ray* rays, int count, SurfaceHit* 
 //   lights:  Le f cos / p_light * w_light      (next-event estimation)
 //   BSDF:    Le f cos / p_bsdf  * w_bsdf       (when the sampled ray meets light)
 // with power-heuristic weights. Every decision is as for a white base, so the paths are those of every coat.
+//
+// An even sky is a control variate: what it would give an open surface, albedo(wo) Le, is known, and f cos / p Le of any BSDF
+// sample, wherever it goes, estimates it. The former is added and the latter taken away, as much of both as the point sees of
+// the sky by a guess: the expectation stays, and where the sky is open the scatter of f cos / p goes. An estimate may be below 0.
 template <int P>
 void trace_paths(const Tracer& t, const PixelSampler& sampler, std::uint32_t first, Batch<P>& batch, Counters& counters) {
   Lanes<P> base[batch_size], reflected;
   ShadingPoint point[batch_size];
+  const vec3 even = t.lights.environment->is_map() ? vec3(0) : t.lights.environment->mean_radiance();
+  const SkyShares* sky = even == vec3(0) ? nullptr : t.options.sky;
   Frame frame[batch_size];
   Bsdf bsdf[batch_size];
   for (int l = 0; l < batch_size; ++l) base[l].fill(0.0f);
@@ -177,7 +189,7 @@ void trace_paths(const Tracer& t, const PixelSampler& sampler, std::uint32_t fir
       const int l = batch.lanes[i];
       ShadingPoint& p = point[l];
       p = {};
-      if (!shading_point(t.scene, batch.hit[l], batch.wo[l], p)) continue;
+      if (!shading_point(t.scene, sky, batch.hit[l], batch.wo[l], p)) continue;
       batch.lanes[alive++] = l;
       const Material& m = *p.material;
       const auto& textures = t.scene.appearance->textures;
@@ -189,7 +201,13 @@ void trace_paths(const Tracer& t, const PixelSampler& sampler, std::uint32_t fir
         metallic *= texel.z;
       }
       frame[l] = Frame(p.shading);
-      bsdf[l] = Bsdf(roughness, metallic, frame[l].to_local(batch.wo[l]), m.specular);
+      // What the camera sees of a dark coat is mostly highlight; after the first bounce most of the light is what light coats throw.
+      bsdf[l] = Bsdf(roughness, metallic, frame[l].to_local(batch.wo[l]), m.specular, bounce > 0 ? 0.02f : sky ? 0.35f : 0.15f);
+      if (!bsdf[l].albedo_is_known()) p.sky = 0;
+      if (p.sky > 0) {
+        multiply(reflected, batch.throughput[l], base[l], bsdf[l].albedo(), p.sky);
+        add(batch.radiance[l], reflected, even);
+      }
       if (t.lights.count() == 0) continue;
       const LightSample light = t.lights.sample(p.position, choice_u[l].x, light_u[l]);
       if (!(light.pdf > 0) || light.radiance == vec3(0) || !(glm::dot(light.direction, p.geometric) > 0)) continue;
@@ -221,9 +239,11 @@ void trace_paths(const Tracer& t, const PixelSampler& sampler, std::uint32_t fir
       const Bsdf::Value f = bsdf[l].value(wi);
       if (!(f.pdf > 0)) continue;
       const vec3 direction = frame[l].to_world(wi);
-      if (glm::dot(direction, point[l].geometric) <= 0) continue;  // under the true surface
+      const bool under = glm::dot(direction, point[l].geometric) <= 0;  // the true surface
       multiply(batch.throughput[l], batch.throughput[l], base[l], f.response, 1.0f / f.pdf);
       batch.white[l] *= f.response.white() / f.pdf;
+      if (point[l].sky > 0) add(batch.radiance[l], batch.throughput[l], -point[l].sky * even);
+      if (under) continue;
       rays[count] = {leave(point[l], direction), 0, direction, std::numeric_limits<float>::infinity()};
       pdf[count] = f.pdf;
       of[count++] = l;

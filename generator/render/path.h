@@ -7,6 +7,7 @@
 #include "generator/core/image.h"
 #include "generator/render/first_hit.h"
 #include "generator/render/light.h"
+#include "generator/render/surface_light.h"
 
 namespace moomill {
 
@@ -16,11 +17,14 @@ struct PathOptions {
   int roulette_from = 3;       // bounces before Russian roulette; from there on a path survives with at most 0.8
   int max_bounces = 0;         // 0: none, unbiased; otherwise a cap, which darkens
   bool environment_visible = false;  // the camera sees the environment; else the background is transparent
+  // How much of the sky every vertex sees, or none; an even sky then takes fewer samples. Must outlive the call.
+  const SkyShares* sky = nullptr;
   std::uint64_t stream = 0;    // hash of (seed, frame, camera): the identity of the samples
 };
 
 struct Radiance {
-  std::vector<ImageF> coats;       // per coat: linear Rec. 709, premultiplied, alpha in the 4th channel
+  // Per coat: linear Rec. 709, premultiplied, alpha in the 4th channel. Noise may take dark values below 0.
+  std::vector<ImageF> coats;
   std::uint64_t paths = 0, rays = 0;
   std::uint64_t not_finite = 0;    // samples dropped because a value was not finite; 0 in a sane scene
 };

@@ -205,6 +205,7 @@ TEST_CASE("radiance agrees with an independent brute-force integrator: z-test pe
     const Accel accel(stage.scene);
     PixelMask all(12, 9);
     all.fill();
+    const SkyShares sky = sky_shares(stage.scene, accel);
     // Independent runs give the variance of our mean.
     constexpr int runs = 16;
     std::vector<dvec3> ours(12 * 9, dvec3(0)), ours2(12 * 9, dvec3(0));
@@ -213,6 +214,7 @@ TEST_CASE("radiance agrees with an independent brute-force integrator: z-test pe
       PathOptions o;
       o.samples = 256;
       o.stream = 1000 + run;
+      o.sky = &sky;
       const Radiance r = trace_radiance(stage.scene, l, accel, camera, all, o);
       CHECK(r.not_finite == 0);
       for (int p = 0; p < 12 * 9; ++p) {

@@ -134,7 +134,10 @@ Shaded shade(const Stage& stage, const Camera& camera, const PathOptions& option
   Lights lights = stage.lights;
   lights.prepare(vec3(0));
   const Accel accel(stage.scene);
-  const Radiance r = trace_radiance(stage.scene, lights, accel, camera, all_pixels(camera), options);
+  const SkyShares sky = sky_shares(stage.scene, accel);
+  PathOptions with_sky = options;
+  with_sky.sky = &sky;
+  const Radiance r = trace_radiance(stage.scene, lights, accel, camera, all_pixels(camera), with_sky);
   Shaded out;
   out.not_finite = r.not_finite;
   out.least = std::numeric_limits<double>::infinity();
