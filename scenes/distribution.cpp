@@ -124,6 +124,14 @@ void for_each_distribution(const SceneSpec& scene, const std::function<void(cons
   visit(scene.ground.roughness);
 }
 
+void check_surface_light(const SceneSpec& scene) {
+  if (!scene.render.surface_light) return;
+  for_each_distribution(scene, [&](const Distribution& d) {
+    if (d.per_view && d.key.starts_with("light."))
+      input_error("{}: {} is drawn per view, but render.surface_light gathers light once per frame; draw it per frame or leave surface_light out", scene.file, d.key);
+  });
+}
+
 Json drawn_values(const SceneSpec& scene, int frame, const std::vector<int>& cameras) {
   Json out = Json::object();
   for_each_distribution(scene, [&](const Distribution& d) {

@@ -98,6 +98,8 @@ void apply_overrides(SceneSpec& scene, const Overrides& o) {
       input_error("--spp: the samples per pixel must be from 1 to {}, not {}", largest_samples, *o.samples);
     scene.render.samples = *o.samples;
   }
+  if (o.surface_light) scene.render.surface_light = *o.surface_light;
+  check_surface_light(scene);
   scene.resolved = scene_to_json(scene);
 }
 

@@ -392,6 +392,10 @@ std::shared_ptr<const Dressed> Mill::dress(const Frame& frame, int batch) const 
     a->paints[m.paint] = std::move(paint);
     out->scene.appearance = std::move(a);
   }
+  if (spec_.render.surface_light) {
+    const StageTimer timer("light");
+    out->light = std::make_shared<SurfaceLight>(gather_light(out->scene, lights(frame, frame.cameras.at(0)), *frame.geometry->accel));
+  }
   return out;
 }
 
@@ -410,6 +414,7 @@ View Mill::trace_coats(const Frame& frame, const CameraRecord& record, const Dre
   options.max_bounces = spec_.render.max_bounces;
   options.filter_radius = spec_.render.filter_radius;
   if (!frame.geometry->sky.empty()) options.sky = &frame.geometry->sky;
+  if (!resampling.paths_only) options.light = dressed.light.get();
   options.environment_visible = spec_.background.kind == BackgroundSpec::Kind::environment;
   options.stream = stream_of(spec_, frame.number, record.id, Stream::light);
   if (resampling.repetition != 0) options.stream = hash_identity({options.stream, resampling.repetition});

@@ -41,12 +41,14 @@ struct Frame {
 struct Dressed {
   Scene scene;
   std::vector<int> coats;  // indices
+  std::shared_ptr<const SurfaceLight> light;  // where the scene asks for it
 };
 
 // For studies of the estimator: other samples of the same view.
 struct Resampling {
   int samples = 0;               // per pixel; 0: the scene's
   std::uint64_t repetition = 0;  // 0: those of the dataset; any other number: samples independent of every other repetition's
+  bool paths_only = false;       // without the surface's light
 };
 
 class Mill {

@@ -136,6 +136,8 @@ struct RenderSpec {
   int samples = 64;  // per pixel
   int max_bounces = 0;         // 0: no cap, unbiased (Russian roulette ends paths)
   double filter_radius = 1.5;  // pixels
+  // Light gathered on the animals once per frame and looked up by all its views: faster, with a small bias. Off: pure paths.
+  bool surface_light = false;
   int coat_resolution = 2048;
   // What baked coats and pictures in the making may take together, in MB (1e6 bytes), with two views in the making.
   // Coats that do not fit are baked again for every frame; no picture depends on it, so it is no part of a dataset.
@@ -177,6 +179,7 @@ struct Overrides {
   std::vector<std::string> modalities;
   std::optional<std::pair<int, int>> resolution;  // width, height
   std::optional<int> samples;
+  std::optional<bool> surface_light;
 };
 void apply_overrides(SceneSpec& scene, const Overrides& overrides);  // InputError on what the scene does not have
 
@@ -185,6 +188,8 @@ void apply_overrides(SceneSpec& scene, const Overrides& overrides);  // InputErr
 Json scene_to_json(const SceneSpec& scene);
 
 // Calls visit(d) for every distribution of the scene.
+// InputError where light is to be gathered once per frame and yet differs between its views.
+void check_surface_light(const SceneSpec& scene);
 void for_each_distribution(const SceneSpec& scene, const std::function<void(const Distribution&)>& visit);
 // The values drawn for one frame, by key (per view: a list in the order of `cameras`), for FrameRecord::drawn.
 Json drawn_values(const SceneSpec& scene, int frame, const std::vector<int>& cameras);

@@ -186,6 +186,7 @@ Json scene_to_json(const SceneSpec& scene) {
   out["render"] = {{"samples", scene.render.samples},
                    {"max_bounces", scene.render.max_bounces},
                    {"filter_radius", scene.render.filter_radius},
+                   {"surface_light", scene.render.surface_light},
                    {"coat_resolution", scene.render.coat_resolution}};
   out["nnopcs"] = {{"normalization", scene.normalization == NnopcsNormalization::box ? "box" : "diagonal"}};
   return out;

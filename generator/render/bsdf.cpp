@@ -89,6 +89,13 @@ const AlbedoTable& mirror_albedo() {
 
 }  // namespace
 
+float specular_albedo(float cosine, float roughness) {
+  return dielectric_albedo().at(cosine, std::sqrt(alpha_of(std::clamp(roughness, 0.0f, 1.0f))));
+}
+float mean_specular_albedo(float roughness) {
+  return dielectric_albedo().average_at(std::sqrt(alpha_of(std::clamp(roughness, 0.0f, 1.0f))));
+}
+
 float fresnel_dielectric(float cosine, float ior) {
   const float c = std::clamp(cosine, 0.0f, 1.0f);
   const float g2 = ior * ior - 1.0f + c * c;
@@ -166,7 +173,8 @@ Bsdf::Value Bsdf::value(const vec3& wi) const {
     r.b += metallic_ * dg * ((1.0f - s5) + s5 * k);
     r.c += metallic_ * dg * (1.0f - s5) * k;
   }
-  out.pdf = specular_probability_ * d / (1.0f + lambda_o) + (1.0f - specular_probability_) * wi.z / pi_f;
+  out.specular_pdf = d / (1.0f + lambda_o);
+  out.pdf = specular_probability_ * out.specular_pdf + (1.0f - specular_probability_) * wi.z / pi_f;
   return out;
 }
 
@@ -188,16 +196,21 @@ float Bsdf::pdf(const vec3& wi) const {
 
 bool Bsdf::sample_direction(const vec2& u, float lobe, vec3& wi) const {
   if (wo_.z <= 0) return false;
-  if (lobe < specular_probability_) {
-    const vec3 h = sample_ggx_visible_normal(wo_, alpha_, u);
-    wi = 2.0f * glm::dot(wo_, h) * h - wo_;
-  } else {
-    wi = sample_cosine_hemisphere(u);
-  }
+  if (lobe < specular_probability_) return sample_specular(u, wi);
+  wi = glm::normalize(sample_cosine_hemisphere(u));
+  return true;
+}
+
+bool Bsdf::sample_specular(const vec2& u, vec3& wi) const {
+  if (wo_.z <= 0) return false;
+  const vec3 h = sample_ggx_visible_normal(wo_, alpha_, u);
+  wi = 2.0f * glm::dot(wo_, h) * h - wo_;
   if (wi.z <= 0) return false;  // below the surface: a failed sample carries nothing
   wi = glm::normalize(wi);
   return true;
 }
+
+float Bsdf::diffuse_factor() const { return (1.0f - metallic_) * (1.0f - ed_wo_) / (1.0f - ed_average_) / pi_f; }
 
 BsdfSample Bsdf::sample(const vec2& u, float lobe) const {
   BsdfSample s;

@@ -43,6 +43,7 @@ class Bsdf {
   struct Value {
     BaseResponse response;
     float pdf = 0;
+    float specular_pdf = 0;  // of sample_specular()
   };
   Value value(const vec3& wi) const;
   // Integral of evaluate() over the hemisphere, from tables.
@@ -51,11 +52,19 @@ class Bsdf {
   bool albedo_is_known() const { return roughness_ >= 0.4f && metallic_ == 0; }
   // The direction of sample(); false where it fails.
   bool sample_direction(const vec2& u, float lobe, vec3& wi) const;
+  // A direction of the specular lobe alone; false where it fails.
+  bool sample_specular(const vec2& u, vec3& wi) const;
+  // The matt base's share of evaluate() is b times diffuse_factor() (1 - Ed(ci)) cos(wi).
+  float diffuse_factor() const;
 
  private:
   vec3 wo_{0, 0, 1};
   float alpha_ = 1, roughness_ = 1, metallic_ = 0, specular_ = 0, specular_probability_ = 0, ed_wo_ = 0, ed_average_ = 0, es_wo_ = 1;
 };
+
+// Ed above: what the dielectric's specular lobe reflects, at `specular` = 1; and its mean over the cosine-weighted hemisphere.
+float specular_albedo(float cosine, float roughness);
+float mean_specular_albedo(float roughness);
 
 // Unpolarised Fresnel reflectance of a dielectric for light arriving with this cosine from outside.
 float fresnel_dielectric(float cosine, float ior);

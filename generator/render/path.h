@@ -19,6 +19,8 @@ struct PathOptions {
   bool environment_visible = false;  // the camera sees the environment; else the background is transparent
   // How much of the sky every vertex sees, or none; an even sky then takes fewer samples. Must outlive the call.
   const SkyShares* sky = nullptr;
+  // Light gathered for this scene in these coats, or none: with it pictures take far fewer samples, and have its bias. Must outlive the call.
+  const SurfaceLight* light = nullptr;
   std::uint64_t stream = 0;    // hash of (seed, frame, camera): the identity of the samples
 };
 

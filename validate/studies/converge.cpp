@@ -180,9 +180,9 @@ Convergence measure_convergence(const SceneSpec& scene, const ConvergeOptions& o
         input_error("{}: no animal is in frame {} of camera {}; choose another camera", spec.file, number, camera.id);
 
       tell(0, fmt::format("reference of camera {}", camera.id));
-      const Pictures a = render(mill, prepared, camera, {(reference_samples + 1) / 2, repetition_key(0, 0)});
+      const Pictures a = render(mill, prepared, camera, {(reference_samples + 1) / 2, repetition_key(0, 0), true});
       tell(reference_samples / 2, "");
-      const Pictures b = render(mill, prepared, camera, {(reference_samples + 1) / 2, repetition_key(0, 1)});
+      const Pictures b = render(mill, prepared, camera, {(reference_samples + 1) / 2, repetition_key(0, 1), true});
       std::map<int, Reference> references;
       for (const auto& [coat, picture] : a.of_coat) {
         references[coat] = join_halves(picture, b.of_coat.at(coat), mask);

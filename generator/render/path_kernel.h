@@ -1,0 +1,339 @@
+#pragma once
+// The path kernel, for path.cpp and surface_light.cpp alone: eight paths side by side, each with a throughput per coat.
+#include "generator/render/bsdf.h"
+#include "generator/render/path.h"
+#include "generator/render/sampler.h"
+
+namespace moomill::kernel {
+
+inline constexpr int batch_size = 8;  // samples of a pixel that go side by side
+inline constexpr float survive_at_most = 0.8f;
+inline constexpr float held_highlights = 0.3f;  // share of samples that follow the highlight of a surface that holds its light
+
+// Pairs of dimensions of a path: one for the filter, then a block per bounce.
+enum Pair : std::uint32_t { filter_pair = 0, direction_pair, lobe_pair, light_pair, choice_pair, texel_pair, pairs_per_bounce = 5 };
+
+// One value per coat and channel, padded to a multiple of four coats so that the loops are whole vectors.
+template <int P>
+struct alignas(32) Lanes {
+  float v[3][P];
+  void fill(float x) {
+    for (auto& c : v)
+      for (float& e : c) e = x;
+  }
+};
+
+// Everything about the point a ray has met.
+struct ShadingPoint {
+  vec3 position{0};          // relative to the scene origin
+  vec3 geometric{0, 0, 1};   // unit, towards the side the ray came from
+  vec3 shading{0, 0, 1};     // unit, same side
+  vec2 uv{0};
+  vec3 vertex_color{1};
+  const Material* material = nullptr;
+  float sky = 0;  // guess of the share of the sky it sees
+  bool front = true;  // met on the side that its normals point to
+};
+
+// False for a triangle without area: it reflects nothing.
+inline bool shading_point(const Scene& scene, const SkyShares* sky, const SurfaceHit& hit, const vec3& wo, ShadingPoint& out) {
+  const Instance& in = scene.instances[hit.instance];
+  const Surface& s = *in.surface;
+  const uvec3 t = s.triangles[hit.triangle];
+  const vec3 p0 = in.posed.positions[t[0]], e1 = in.posed.positions[t[1]] - p0, e2 = in.posed.positions[t[2]] - p0;
+  const vec3 cross = glm::cross(e1, e2);
+  const float area2 = glm::length(cross);
+  if (!(area2 > 1e-20f)) return false;
+  const float u = hit.u, v = hit.v, w = 1.0f - u - v;
+  out.position = p0 + u * e1 + v * e2;
+  out.geometric = cross / area2;
+  vec3 n = w * in.posed.normals[t[0]] + u * in.posed.normals[t[1]] + v * in.posed.normals[t[2]];
+  const float length = glm::length(n);
+  n = length > 1e-6f ? n / length : out.geometric;
+  out.uv = s.uvs.empty() ? vec2(0) : w * s.uvs[t[0]] + u * s.uvs[t[1]] + v * s.uvs[t[2]];
+  if (!s.colors.empty()) out.vertex_color = w * s.colors[t[0]] + u * s.colors[t[1]] + v * s.colors[t[2]];
+  out.front = (glm::dot(out.geometric, wo) > 0) == (glm::dot(out.geometric, n) > 0);
+  if (sky && out.front) {
+    const std::vector<float>& share = (*sky)[hit.instance];
+    out.sky = w * share[t[0]] + u * share[t[1]] + v * share[t[2]];
+  }
+  const Material& m = scene.material(in, hit.triangle);
+  out.material = &m;
+
+  if (m.normal_texture >= 0 && !s.uvs.empty()) {
+    // Tangent x along u of the triangle's UVs, made perpendicular to the shading normal; y on the side of -v, where glTF's
+    // green points.
+    const vec2 d1 = s.uvs[t[1]] - s.uvs[t[0]], d2 = s.uvs[t[2]] - s.uvs[t[0]];
+    const float det = d1.x * d2.y - d1.y * d2.x;
+    const vec3 along_u = (e1 * d2.y - e2 * d1.y) * (det < 0 ? -1.0f : 1.0f);
+    const vec3 tangent = along_u - n * glm::dot(n, along_u);
+    const float tl = glm::length(tangent);
+    if (det != 0 && tl > 1e-12f) {
+      const vec3 x = tangent / tl;
+      const vec3 y = glm::cross(n, x) * (det < 0 ? 1.0f : -1.0f);
+      vec3 local = 2.0f * texture_rgb(*scene.appearance->textures[m.normal_texture], out.uv) - 1.0f;
+      local.x *= m.normal_scale;
+      local.y *= m.normal_scale;
+      const vec3 bent = local.x * x + local.y * y + local.z * n;
+      const float bl = glm::length(bent);
+      if (bl > 1e-6f) n = bent / bl;
+    }
+  }
+  if (glm::dot(out.geometric, wo) < 0) out.geometric = -out.geometric;
+  if (glm::dot(out.geometric, n) < 0) n = -n;
+  // A shading normal that faces away from the ray would leave nothing to see: lean it just far enough.
+  const float facing = glm::dot(n, wo);
+  if (facing < 0.02f) n = glm::normalize(n + (0.02f - facing) * wo);
+  out.shading = n;
+  return true;
+}
+
+// Where a ray leaving a surface starts: off it by more than the rounding of the hit point.
+inline vec3 leave(const ShadingPoint& p, const vec3& direction) {
+  const vec3 a = glm::abs(p.position);
+  const float offset = 4e-6f * std::max(1.0f, std::max({a.x, a.y, a.z}));
+  return p.position + (glm::dot(direction, p.geometric) < 0 ? -offset : offset) * p.geometric;
+}
+
+// f(t) = A + B b + C b^2 per coat and channel, times a weight.
+template <int P>
+void multiply(Lanes<P>& out, const Lanes<P>& in, const Lanes<P>& base, const BaseResponse& r, float weight) {
+  const float a = r.a * weight, b = r.b * weight, c = r.c * weight;
+  for (int k = 0; k < 3; ++k)
+    for (int t = 0; t < P; ++t) out.v[k][t] = in.v[k][t] * (a + base.v[k][t] * (b + base.v[k][t] * c));
+}
+template <int P>
+void add(Lanes<P>& sum, const Lanes<P>& throughput, const vec3& radiance) {
+  for (int k = 0; k < 3; ++k) {
+    const float e = radiance[k];
+    for (int t = 0; t < P; ++t) sum.v[k][t] += throughput.v[k][t] * e;
+  }
+}
+
+struct Counters {
+  std::uint64_t paths = 0, rays = 0, not_finite = 0;
+};
+
+// Eight samples of one pixel on their way through the scene. A lane is at work while it is in `lanes`.
+template <int P>
+struct Batch {
+  Lanes<P> throughput[batch_size], radiance[batch_size];
+  float white[batch_size];  // throughput of a white base
+  SurfaceHit hit[batch_size];
+  vec3 wo[batch_size];
+  int lanes[batch_size], count = 0;
+};
+
+// What one image is traced with.
+struct Tracer {
+  const Scene& scene;
+  const Lights& lights;
+  const Accel& accel;
+  const PathOptions& options;
+  const SurfaceLight* light = nullptr;
+};
+
+// Light that a surface holding it throws back at a point: what the vertices throw, between them.
+template <int P>
+void add_outgoing(Lanes<P>& sum, const Lanes<P>& throughput, const SurfaceLight& light, const Scene& scene, const SurfaceHit& hit) {
+  const uvec3 t = scene.instances[hit.instance].surface->triangles[hit.triangle];
+  const float weight[3] = {1.0f - hit.u - hit.v, hit.u, hit.v};
+  const float* at[3];
+  for (int k = 0; k < 3; ++k) at[k] = light.outgoing(hit.instance, t[k]);
+  for (int c = 0; c < 3; ++c)
+    for (int i = 0; i < P; ++i) {
+      const int j = c * P + i;
+      sum.v[c][i] += throughput.v[c][i] * (weight[0] * at[0][j] + weight[1] * at[1][j] + weight[2] * at[2][j]);
+    }
+}
+
+// Light that arrives at a point for its matt base, as SurfaceLight defines it, with this shading normal.
+template <int P>
+void incident_light(Lanes<P>& out, const SurfaceLight& light, const Scene& scene, const SurfaceHit& hit, const vec3& normal) {
+  const Instance& in = scene.instances[hit.instance];
+  const uvec3 t = in.surface->triangles[hit.triangle];
+  const float weight[3] = {1.0f - hit.u - hit.v, hit.u, hit.v};
+  out.fill(0.0f);
+  for (int k = 0; k < 3; ++k) {
+    const Frame frame(glm::normalize(in.posed.normals[t[k]]));
+    const float x = glm::dot(normal, frame.x), y = glm::dot(normal, frame.y);
+    const float w0 = weight[k], w1 = weight[k] * x, w2 = weight[k] * y, w3 = weight[k] * (x * x + y * y);
+    const float* a = light.incident(hit.instance, t[k]);
+    float* sum = &out.v[0][0];
+    for (int j = 0; j < 3 * P; ++j) sum[j] += w0 * a[j] + w1 * a[3 * P + j] + w2 * a[6 * P + j] + w3 * a[9 * P + j];
+  }
+  for (auto& c : out.v)
+    for (float& v : c) v = std::max(v, 0.0f);
+}
+
+// Whether each of `count` shadow rays meets something; the first of them coherent or not.
+inline void occluded_rays(const Accel& accel, const Ray* rays, int count, bool coherent, bool* occluded) {
+  if (count <= 2) {
+    for (int i = 0; i < count; ++i) occluded[i] = accel.occluded(rays[i]);
+    return;
+  }
+  Ray8 packet;
+  for (int i = 0; i < batch_size; ++i) packet.set(i, rays[std::min(i, count - 1)], i < count);
+  accel.occluded8(packet, coherent);
+  for (int i = 0; i < count; ++i) occluded[i] = packet.instance[i] != no_hit;
+}
+
+inline void intersect_rays(const Accel& accel, const Ray* rays, int count, SurfaceHit* hits) {
+  for (int i = 0; i < count; ++i) hits[i] = accel.intersect(rays[i]);
+}
+
+// Radiance along camera rays that have met the batch's hits. The estimator per bounce, in solid angle:
+//   lights:  Le f cos / p_light * w_light      (next-event estimation)
+//   BSDF:    Le f cos / p_bsdf  * w_bsdf       (when the sampled ray meets light)
+// with power-heuristic weights. Every decision is as for a white base, so the paths are those of every coat.
+//
+// An even sky is a control variate: what it would give an open surface, albedo(wo) Le, is known, and f cos / p Le of any BSDF
+// sample, wherever it goes, estimates it. The former is added and the latter taken away, as much of both as the point sees of
+// the sky by a guess: the expectation stays, and where the sky is open the scatter of f cos / p goes. An estimate may be below 0.
+//
+// With SurfaceLight, a surface that holds it has its matt base's light looked up, all but that of the lights that are sampled; a
+// highlight's ray that meets one ends there.
+template <int P>
+void trace_paths(const Tracer& t, const PixelSampler& sampler, std::uint32_t first, Batch<P>& batch, Counters& counters) {
+  Lanes<P> base[batch_size], reflected;
+  ShadingPoint point[batch_size];
+  const vec3 even = t.lights.environment->is_map() ? vec3(0) : t.lights.environment->mean_radiance();
+  const SkyShares* sky = even == vec3(0) ? nullptr : t.options.sky;
+  Frame frame[batch_size];
+  Bsdf bsdf[batch_size];
+  bool held[batch_size];  // met where the surface holds its light
+  for (int l = 0; l < batch_size; ++l) base[l].fill(0.0f);
+  for (int bounce = 0; batch.count > 0; ++bounce) {
+    const std::uint32_t block = bounce * pairs_per_bounce;
+    vec2 texel_u[batch_size], choice_u[batch_size], light_u[batch_size], lobe_u[batch_size], direction_u[batch_size];
+    sampler.get8(block + texel_pair, first, texel_u);
+    sampler.get8(block + lobe_pair, first, lobe_u);
+    sampler.get8(block + direction_pair, first, direction_u);
+    if (t.lights.count() > 0) {
+      sampler.get8(block + choice_pair, first, choice_u);
+      sampler.get8(block + light_pair, first, light_u);
+    }
+
+    Ray rays[batch_size];
+    int of[batch_size], count = 0;  // the lane of each ray
+    float weight[batch_size];
+    vec3 light_radiance[batch_size];
+    BaseResponse response[batch_size];
+    int alive = 0;
+    for (int i = 0; i < batch.count; ++i) {
+      const int l = batch.lanes[i];
+      ShadingPoint& p = point[l];
+      p = {};
+      if (!shading_point(t.scene, sky, batch.hit[l], batch.wo[l], p)) continue;
+      held[l] = t.light && p.front && t.light->holds(batch.hit[l].instance);
+      if (held[l] && bounce > 0) {
+        add_outgoing(batch.radiance[l], batch.throughput[l], *t.light, t.scene, batch.hit[l]);
+        continue;
+      }
+      batch.lanes[alive++] = l;
+      const Material& m = *p.material;
+      const auto& textures = t.scene.appearance->textures;
+      fetch_paint(*t.scene.appearance->paints[m.paint], textures, p.uv, p.vertex_color, texel_u[l], P, &base[l].v[0][0]);
+      float roughness = m.roughness, metallic = m.metallic;
+      if (m.metallic_roughness_texture >= 0) {
+        const vec3 texel = texture_rgb(*textures[m.metallic_roughness_texture], p.uv);
+        roughness *= texel.y;
+        metallic *= texel.z;
+      }
+      frame[l] = Frame(p.shading);
+      // What the camera sees of a dark coat is mostly highlight; after the first bounce most of the light is what light coats throw.
+      bsdf[l] = Bsdf(roughness, metallic, frame[l].to_local(batch.wo[l]), m.specular, bounce > 0 ? 0.02f : sky ? 0.35f : 0.15f);
+      if (!bsdf[l].albedo_is_known()) p.sky = 0;
+      if (p.sky > 0) {
+        BaseResponse albedo = bsdf[l].albedo();
+        if (held[l]) albedo = {albedo.a, 0, 0};
+        multiply(reflected, batch.throughput[l], base[l], albedo, p.sky);
+        add(batch.radiance[l], reflected, even);
+      }
+      if (held[l]) {
+        incident_light(reflected, *t.light, t.scene, batch.hit[l], p.shading);
+        const float factor = bsdf[l].diffuse_factor();
+        for (int c = 0; c < 3; ++c)
+          for (int e = 0; e < P; ++e) batch.radiance[l].v[c][e] += batch.throughput[l].v[c][e] * base[l].v[c][e] * factor * reflected.v[c][e];
+      }
+      if (t.lights.count() == 0) continue;
+      const LightSample light = t.lights.sample(p.position, choice_u[l].x, light_u[l]);
+      if (!(light.pdf > 0) || light.radiance == vec3(0) || !(glm::dot(light.direction, p.geometric) > 0)) continue;
+      Bsdf::Value f = bsdf[l].value(frame[l].to_local(light.direction));
+      if (!(f.response.white() > 0)) continue;
+      rays[count] = {leave(p, light.direction), 0, light.direction, light.distance * (1 - 1e-5f)};
+      if (held[l]) {  // the matt base has no other way to this light
+        f.response.a *= power_heuristic(light.pdf, held_highlights * f.specular_pdf);
+        weight[count] = 1.0f / light.pdf;
+      } else {
+        weight[count] = power_heuristic(light.pdf, f.pdf) / light.pdf;
+      }
+      light_radiance[count] = light.radiance;
+      response[count] = f.response;
+      of[count++] = l;
+    }
+    batch.count = alive;
+    bool occluded[batch_size];
+    occluded_rays(t.accel, rays, count, bounce == 0, occluded);
+    counters.rays += count;
+    for (int i = 0; i < count; ++i) {
+      if (occluded[i]) continue;
+      const int l = of[i];
+      multiply(reflected, batch.throughput[l], base[l], response[i], weight[i]);
+      add(batch.radiance[l], reflected, light_radiance[i]);
+    }
+
+    float pdf[batch_size];
+    count = 0;
+    for (int i = 0; i < batch.count; ++i) {
+      const int l = batch.lanes[i];
+      vec3 wi;
+      if (held[l]) {  // only the highlight is left to sample, and it is little
+        if (!(lobe_u[l].x < held_highlights)) continue;
+        if (!bsdf[l].sample_specular(direction_u[l], wi)) continue;
+      } else if (!bsdf[l].sample_direction(direction_u[l], lobe_u[l].x, wi)) {
+        continue;
+      }
+      Bsdf::Value f = bsdf[l].value(wi);
+      if (held[l]) {
+        f.response = {f.response.a, 0, 0};
+        f.pdf = held_highlights * f.specular_pdf;
+      }
+      if (!(f.pdf > 0)) continue;
+      const vec3 direction = frame[l].to_world(wi);
+      const bool under = glm::dot(direction, point[l].geometric) <= 0;  // the true surface
+      multiply(batch.throughput[l], batch.throughput[l], base[l], f.response, 1.0f / f.pdf);
+      batch.white[l] *= f.response.white() / f.pdf;
+      if (point[l].sky > 0) add(batch.radiance[l], batch.throughput[l], -point[l].sky * even);
+      if (under) continue;
+      rays[count] = {leave(point[l], direction), 0, direction, std::numeric_limits<float>::infinity()};
+      pdf[count] = f.pdf;
+      of[count++] = l;
+    }
+    SurfaceHit hits[batch_size];
+    intersect_rays(t.accel, rays, count, hits);
+    counters.rays += count;
+    alive = 0;
+    for (int i = 0; i < count; ++i) {
+      const int l = of[i];
+      const bool met = hits[i].valid();
+      const vec3 light = t.lights.seen_by_bsdf_ray(rays[i].origin, rays[i].direction, pdf[i], met ? hits[i].t : std::numeric_limits<float>::infinity());
+      if (light != vec3(0)) add(batch.radiance[l], batch.throughput[l], light);
+      if (!met || (t.options.max_bounces > 0 && bounce + 1 >= t.options.max_bounces)) continue;
+      if (bounce + 1 >= t.options.roulette_from) {
+        const float survive = std::min(survive_at_most, batch.white[l]);
+        if (!(lobe_u[l].y < survive)) continue;
+        const float gain = 1.0f / survive;
+        for (auto& c : batch.throughput[l].v)
+          for (float& v : c) v *= gain;
+        batch.white[l] *= gain;
+      }
+      batch.hit[l] = hits[i];
+      batch.wo[l] = -rays[i].direction;
+      batch.lanes[alive++] = l;
+    }
+    batch.count = alive;
+  }
+}
+
+}  // namespace moomill::kernel
