@@ -35,10 +35,14 @@ def srgb_to_linear(bytes_):
     return table[bytes_]
 
 
-def specular_albedo():
-    """Directional albedo Ed(cosine, roughness) of a GGX lobe at IOR 1.5 with height-correlated Smith masking, [65, 64]: rows
-    are roughness 0..1, columns the square root of the cosine 0..1. What the matt base of moomill's surface leaves out. Sums
-    over visible normals (Heitz 2018): the weight of a sample is F G2 / G1."""
+METAL_IOR = 1.65  # of the dielectric's curve that lies nearest to Schlick's from above
+
+
+def lobe_tables():
+    """What scales Cycles' GGX lobes to moomill's, by the cosine to the eye and by roughness: [65, 64, 5], rows are roughness
+    0..1, columns the square root of the cosine 0..1. Es, Ed: directional albedo of moomill's lobe, whose Smith masking is correlated
+    by height, without Fresnel and at IOR 1.5. Then, over the same integral with Cycles' masking (the two terms multiplied): Es, Ed, and
+    that of Schlick's (1 - cos)^5 over the curve of METAL_IOR. Sums over visible normals (Heitz 2018), weight F G2 / G1."""
     columns, rows = 64, 65
     x = numpy.linspace(0, 1, columns)
     co = numpy.maximum(x * x, 1e-4)[:, None, None]
@@ -48,7 +52,7 @@ def specular_albedo():
     weight = (q ** 2)[None, :, None] * numpy.ones((1, 1, 24))
     weight = weight / weight.sum()
     phi = (2 * math.pi * (numpy.arange(24) + 0.5) / 24)[None, None, :]
-    table = numpy.zeros((rows, columns), dtype=numpy.float32)
+    table = numpy.zeros((rows, columns, 5), dtype=numpy.float32)
     for j in range(rows):
         alpha = max((j / (rows - 1)) ** 2, 1e-3)
         so = numpy.sqrt(1 - co * co)
@@ -69,10 +73,22 @@ def specular_albedo():
             return 0.5 * (numpy.sqrt(1 + alpha * alpha * numpy.maximum(0, 1 - c2) / c2) - 1)
 
         c = numpy.clip(oh, 0, 1)
-        g = numpy.sqrt(1.5 ** 2 - 1 + c * c)
-        fresnel = 0.5 * ((g - c) / (g + c)) ** 2 * (1 + ((c * (g + c) - 1) / (c * (g - c) + 1)) ** 2)
-        value = numpy.where((ci > 0) & (oh > 0), fresnel * (1 + smith(co)) / (1 + smith(co) + smith(ci)), 0)
-        table[j] = (value * weight).sum(axis=(1, 2))
+
+        def fresnel(ior):
+            g = numpy.sqrt(ior ** 2 - 1 + c * c)
+            return 0.5 * ((g - c) / (g + c)) ** 2 * (1 + ((c * (g + c) - 1) / (c * (g - c) + 1)) ** 2)
+
+        least = ((METAL_IOR - 1) / (METAL_IOR + 1)) ** 2
+        curve = (fresnel(METAL_IOR) - least) / (1 - least)
+        above = (ci > 0) & (oh > 0)
+        ours = numpy.where(above, (1 + smith(co)) / (1 + smith(co) + smith(ci)), 0) * weight
+        theirs = numpy.where(above, 1 / (1 + smith(ci)), 0) * weight
+
+        def total(values):
+            return values.sum(axis=(1, 2))
+
+        es, ed = total(ours), total(ours * fresnel(1.5))
+        table[j] = numpy.stack([es, ed, es / total(theirs), ed / total(theirs * fresnel(1.5)), total(ours * (1 - c) ** 5) / total(theirs * curve)], axis=1)
     return table
 
 
@@ -185,7 +201,7 @@ class Materials:
                 raise ValueError(f"texture {t['file']} is mirrored beyond its border, which Blender 3.4 cannot; give it another wrap mode")
             if t["placement"] not in self.placements:
                 self.placements.append(t["placement"])
-        self.albedo = None
+        self.tables = None
 
     def texture(self, n, index, use, name=""):
         t = self.export.data["textures"][index]
@@ -251,38 +267,82 @@ class Materials:
             shader = self.principled(n, color, roughness, metallic, normal)
             return shader.outputs["BSDF"]
 
-        geometry = n.add("ShaderNodeNewGeometry")
         roughness = n.math("MAXIMUM", roughness, math.sqrt(1e-3))  # moomill's smallest alpha
-        facing = n.math("MAXIMUM", n.vector("DOT_PRODUCT", normal if normal else geometry.outputs["Normal"], geometry.outputs["Incoming"]), 0.0)
-        if self.albedo is None:
-            table = specular_albedo()
-            pixels = numpy.ones(table.shape + (4,), dtype=numpy.float32)
-            pixels[..., :3] = table[::-1, :, None]  # row of roughness 0 at the bottom, where v is 0
-            self.albedo = new_image("specular_albedo", pixels, "Non-Color", True)
-        place = n.add("ShaderNodeCombineXYZ")
-        n.set(place.inputs["X"], n.math("DIVIDE", n.math("ADD", n.math("MULTIPLY", n.math("SQRT", facing), 63.0), 0.5), 64.0))
-        n.set(place.inputs["Y"], n.math("DIVIDE", n.math("ADD", n.math("MULTIPLY", roughness, 64.0), 0.5), 65.0))
-        albedo = n.image(self.albedo, None, "EXTEND")
-        n.set(albedo.inputs["Vector"], place.outputs["Vector"])
-        left = n.math("SUBTRACT", 1.0, n.split(albedo.outputs["Color"])["Red"])
+        geometry = n.add("ShaderNodeNewGeometry").outputs
+        # As moomill does: a normal that leans away from the eye is leaned back until its cosine is about 0.02.
+        normal = normal or geometry["Normal"]
+        missing = n.math("MAXIMUM", n.math("SUBTRACT", 0.02, n.vector("DOT_PRODUCT", normal, geometry["Incoming"])), 0.0)
+        normal = n.vector("NORMALIZE", n.vector("ADD", normal, n.scale(geometry["Incoming"], missing)))
+        es, ed, es_ratio, ed_ratio, schlick_ratio = self.look_up(n, n.vector("DOT_PRODUCT", normal, geometry["Incoming"]), roughness)
+
         matt = n.add("ShaderNodeBsdfDiffuse")
-        n.set(matt.inputs["Color"], n.scale(color, left))
+        n.set(matt.inputs["Color"], n.scale(color, n.math("SUBTRACT", 1.0, ed)))
         n.set(matt.inputs["Roughness"], 0.0)
-        if normal:
-            n.set(matt.inputs["Normal"], normal)
-        both = n.add("ShaderNodeAddShader")
-        n.set(both.inputs[0], matt.outputs["BSDF"])
-        n.set(both.inputs[1], self.principled(n, (0.0, 0.0, 0.0), roughness, 0.0, normal).outputs["BSDF"])
+        n.set(matt.inputs["Normal"], normal)
+        lobe = self.principled(n, (0.0, 0.0, 0.0), roughness, 0.0, normal).outputs["BSDF"]
+        both = self.sum(n, matt.outputs["BSDF"], self.times(n, lobe, ed_ratio))
         if not isinstance(metallic, bpy.types.NodeSocket) and metallic == 0:
-            return both.outputs["Shader"]
+            return both
         mix = n.add("ShaderNodeMixShader")
         n.set(mix.inputs["Fac"], metallic)
-        n.set(mix.inputs[1], both.outputs["Shader"])
-        metal = self.principled(n, color, roughness, 1.0, normal, "MULTI_GGX")
-        # Cycles blends metals to white by the Fresnel curve of an IOR, moomill by Schlick's; at 1.44 both have one average, 1/21.
-        n.set(metal.inputs["Specular"], 0.41)
-        n.set(mix.inputs[2], metal.outputs["BSDF"])
+        n.set(mix.inputs[1], both)
+        n.set(mix.inputs[2], self.metal(n, color, roughness, normal, es, es_ratio, schlick_ratio))
         return mix.outputs["Shader"]
+
+    def look_up(self, n, cosine, roughness):
+        if self.tables is None:
+            table = lobe_tables()
+            self.tables = []
+            for k in (0, 2):
+                pixels = numpy.ones(table.shape[:2] + (4,), dtype=numpy.float32)
+                pixels[..., :3] = table[::-1, :, k:k + 3]  # row of roughness 0 at the bottom, where v is 0
+                self.tables.append(new_image(f"lobes{k}", pixels, "Non-Color", True))
+        place = n.add("ShaderNodeCombineXYZ")
+        n.set(place.inputs["X"], n.math("DIVIDE", n.math("ADD", n.math("MULTIPLY", n.math("SQRT", n.math("MAXIMUM", cosine, 0.0)), 63.0), 0.5), 64.0))
+        n.set(place.inputs["Y"], n.math("DIVIDE", n.math("ADD", n.math("MULTIPLY", roughness, 64.0), 0.5), 65.0))
+        out = []
+        for image in self.tables:
+            node = n.image(image, None, "EXTEND")
+            n.set(node.inputs["Vector"], place.outputs["Vector"])
+            out.append(n.split(node.outputs["Color"]))
+        return out[0]["Red"], out[0]["Green"], out[1]["Red"], out[1]["Green"], out[1]["Blue"]
+
+    def metal(self, n, color, roughness, normal, es, es_ratio, schlick_ratio):
+        """moomill's metal is F (1 + b k) with Schlick's F = b + (1 - b) s and Turquin's k = (1 - Es) / Es. Here b is a Glossy BSDF, and s
+        the dielectric's curve of METAL_IOR, scaled so that its albedo is that of s. How much of s differs between channels, but a
+        closure has one weight: it gets that of the darkest channel, and in the others a base colour takes away what is too much."""
+        k = n.math("DIVIDE", n.math("SUBTRACT", 1.0, es), es)
+        gain = n.vector("ADD", n.scale(color, k), (1.0, 1.0, 1.0))
+        edge = n.scale(n.vector("MULTIPLY", n.vector("SUBTRACT", (1.0, 1.0, 1.0), color), gain), schlick_ratio)
+        part = n.add("ShaderNodeSeparateXYZ")
+        n.set(part.inputs["Vector"], edge)
+        most = n.math("MAXIMUM", n.math("MAXIMUM", part.outputs["X"], part.outputs["Y"]), n.math("MAXIMUM", part.outputs["Z"], 1e-4))
+        tint = n.vector("SUBTRACT", (1.0, 1.0, 1.0), n.scale(edge, n.math("DIVIDE", 1.0, most)))
+        lobe = self.principled(n, tint, roughness, 1.0, normal)
+        n.set(lobe.inputs["Specular"], ((METAL_IOR - 1) / (METAL_IOR + 1)) ** 2 / 0.08)
+        even = n.add("ShaderNodeBsdfGlossy", distribution="GGX")
+        n.set(even.inputs["Color"], n.vector("SUBTRACT", n.scale(n.vector("MULTIPLY", color, gain), es_ratio), n.scale(tint, most)))
+        n.set(even.inputs["Roughness"], roughness)
+        n.set(even.inputs["Normal"], normal)
+        return self.sum(n, self.times(n, lobe.outputs["BSDF"], most), even.outputs["BSDF"])
+
+    @staticmethod
+    def times(n, closure, factor):
+        """A closure times 0 to 2: a Mix Shader with nothing clamps its factor to 1, so what is above comes from a second."""
+        parts = []
+        for f in (factor, n.math("SUBTRACT", factor, 1.0)):
+            mix = n.add("ShaderNodeMixShader")
+            n.set(mix.inputs["Fac"], f)
+            n.set(mix.inputs[2], closure)
+            parts.append(mix.outputs["Shader"])
+        return Materials.sum(n, *parts)
+
+    @staticmethod
+    def sum(n, a, b):
+        both = n.add("ShaderNodeAddShader")
+        n.set(both.inputs[0], a)
+        n.set(both.inputs[1], b)
+        return both.outputs["Shader"]
 
     @staticmethod
     def principled(n, color, roughness, metallic, normal, distribution="GGX"):
