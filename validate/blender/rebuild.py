@@ -461,11 +461,32 @@ def place_camera(scene, camera, scale):
     data.shift_y = (cy - 0.5 * height) / width * (scene.render.pixel_aspect_y / scene.render.pixel_aspect_x)
     data.clip_start, data.clip_end = 1e-3, 1e6
     data.dof.use_dof = False
+    thing.matrix_world = Matrix(world_of(camera).tolist())  # nested lists would be taken for columns
+
+
+def world_of(camera):
+    """Where a camera of Blender's axes stands in the exported world, [4, 4]."""
     m = numpy.array(camera["world_to_camera"], dtype=numpy.float64).reshape(3, 4)
     world = numpy.eye(4)
     world[:3, :3] = m[:, :3].T @ numpy.diag([1.0, -1.0, -1.0])
     world[:3, 3] = -m[:, :3].T @ m[:, 3]
-    thing.matrix_world = Matrix(world.tolist())  # nested lists would be taken for columns
+    return world
+
+
+def move_to_camera(export, things, camera):
+    """Moves the vertices into the camera's own axes, in double, and the camera to the origin. Cycles' floats then round the
+    turn of the camera not at all and the direction of a ray, seen from its origin, by a tenth; without a camera the
+    vertices go back to the exported world."""
+    for thing, instance in zip(things, export.data["instances"]):
+        positions = export.array(instance["positions"], numpy.float32, instance["vertices"], 3)
+        if camera is not None:
+            inverse = numpy.linalg.inv(world_of(camera))
+            positions = positions.astype(numpy.float64) @ inverse[:3, :3].T + inverse[:3, 3]
+        thing.data.vertices.foreach_set("co", positions.astype(numpy.float32).ravel())
+        thing.data.update()
+        thing.update_tag()
+    if camera is not None:
+        bpy.context.scene.camera.matrix_world = Matrix.Identity(4)
 
 
 def build_lights(export, lights):

@@ -27,8 +27,9 @@ const char* name_of(CheckedSurface surface);
 // The dressed scene with its surfaces made so.
 Dressed with_surface(const Dressed& dressed, CheckedSurface surface);
 
-// Writes a frame, the cameras it holds and one batch of coats into the folder.
-void export_crosscheck(const Mill& mill, const Frame& frame, const Dressed& dressed, const std::filesystem::path& folder);
+// Writes a frame, the cameras it holds and one batch of coats into the folder. Returns a hash of all that it wrote, names and
+// bytes: equal for exports that are equal byte for byte.
+std::string export_crosscheck(const Mill& mill, const Frame& frame, const Dressed& dressed, const std::filesystem::path& folder);
 
 // --- comparison; knows maps, not renderers ---
 
@@ -61,6 +62,40 @@ struct LabelDifference {
 inline constexpr double label_tolerance = 1e-4, outline_tolerance = 0.01;
 LabelDifference compare_labels(const LabelMaps& ours, const LabelMaps& theirs, const std::vector<OutlineSegment>& outlines);
 
+// What pixel-centre rays meet first, in double and by trying every triangle: no hierarchy, no camera and no intersection of the
+// renderer's. Takes surfaces for whole, so it is for scenes without cut-outs.
+class ExactView {
+ public:
+  ExactView(const Scene& scene, const CameraRecord& camera);
+  struct Hit {
+    std::uint32_t animal = 0;  // 0: none, else 1 + its index
+    double depth = 0;          // metres, camera z
+    dvec3 nnopcs{0};
+  };
+  Hit first_hit(int x, int y) const;
+
+ private:
+  struct Triangle {
+    dvec3 a, b, c;                    // metres, camera axes
+    dvec2 lower, upper;               // of x / z and y / z
+    dvec3 nnopcs_a, nnopcs_b, nnopcs_c;
+    std::uint32_t animal = 0;
+  };
+  std::vector<Triangle> triangles_;
+  double fx_, fy_, cx_, cy_;
+};
+
+// Ours and theirs against double precision: at every pixel where they are off from each other by more than the tolerance,
+// and at some of the others, evenly spread.
+struct LabelJudgement {
+  std::uint64_t off = 0;                              // where they are off from each other, in depth or NNOPCS
+  std::uint64_t off_ours_right = 0, off_theirs_right = 0;  // of those, within the tolerance of the double-precision hit
+  std::uint64_t judged = 0;                           // these and the others
+  double our_depth = 0, their_depth = 0;              // worst, metres
+  double our_nnopcs = 0, their_nnopcs = 0;            // worst coordinate
+};
+LabelJudgement judge_labels(const LabelMaps& ours, const LabelMaps& theirs, const ExactView& exact, int others = 400);
+
 struct ColorDifference {
   dvec3 ours{0}, theirs{0};  // mean linear colour over the pixels where either has alpha
   double worst_mean = 0;     // largest relative difference of the three means
@@ -86,13 +121,15 @@ struct CrosscheckOptions {
   int label_scale = 3;              // odd: how much finer Cycles' labels are rendered, of which the middle pixels count
   int threads = 0;                  // of Blender; 0: all
   std::vector<int> timing_samples;  // with any: no comparison but timed renders of Blender's own material, at each
-  int reference_samples = 0;        // of the timed renders' errors; 0: errors stay empty
+  int reference_samples = 0;        // of the timed renders' errors; 0: errors stay empty. Those in the folder are kept, see below
 };
 // Exports, renders both, compares. Writes crosscheck.csv (a row per view, coat and surface), crosscheck.md and pictures
 // into the folder; the result is for finish_study(). InputError when there is no Blender.
 StudyResult crosscheck(const SceneSpec& scene, const CrosscheckOptions& options);
 
-// Renders every exported view and coat with Blender's own material and writes convergence.csv in converge's columns.
+// Renders every exported view and coat with Blender's own material and writes convergence.csv in converge's columns. Beside each
+// picture lies FILE.json with a hash of what it was made from (export, scripts, version of Blender); a reference whose hash
+// is still right is kept instead of rendered again, so that a run which was stopped goes on where it was.
 StudyResult time_cycles(const SceneSpec& scene, const CrosscheckOptions& options);
 
 // Where a program is: a path as it is, a name on PATH; empty when it is not there.
