@@ -238,6 +238,7 @@ class Materials:
             shader = n.add("ShaderNodeBsdfDiffuse")
             n.set(shader.inputs["Color"], color)
             n.set(shader.inputs["Roughness"], 0.0)
+            n.set(shader.inputs["Normal"], self.leaned(n, None))
             closure = shader.outputs["BSDF"]
         else:
             closure = self.shiny(n, surface, m, color)
@@ -268,12 +269,9 @@ class Materials:
             return shader.outputs["BSDF"]
 
         roughness = n.math("MAXIMUM", roughness, math.sqrt(1e-3))  # moomill's smallest alpha
-        geometry = n.add("ShaderNodeNewGeometry").outputs
-        # As moomill does: a normal that leans away from the eye is leaned back until its cosine is about 0.02.
-        normal = normal or geometry["Normal"]
-        missing = n.math("MAXIMUM", n.math("SUBTRACT", 0.02, n.vector("DOT_PRODUCT", normal, geometry["Incoming"])), 0.0)
-        normal = n.vector("NORMALIZE", n.vector("ADD", normal, n.scale(geometry["Incoming"], missing)))
-        es, ed, es_ratio, ed_ratio, schlick_ratio = self.look_up(n, n.vector("DOT_PRODUCT", normal, geometry["Incoming"]), roughness)
+        normal = self.leaned(n, normal)
+        eye = n.add("ShaderNodeNewGeometry").outputs["Incoming"]
+        es, ed, es_ratio, ed_ratio, schlick_ratio = self.look_up(n, n.vector("DOT_PRODUCT", normal, eye), roughness)
 
         matt = n.add("ShaderNodeBsdfDiffuse")
         n.set(matt.inputs["Color"], n.scale(color, n.math("SUBTRACT", 1.0, ed)))
@@ -288,6 +286,14 @@ class Materials:
         n.set(mix.inputs[1], both)
         n.set(mix.inputs[2], self.metal(n, color, roughness, normal, es, es_ratio, schlick_ratio))
         return mix.outputs["Shader"]
+
+    @staticmethod
+    def leaned(n, normal):
+        """As moomill does: a shading normal (none: the mesh's) that leans away from the eye is leaned back, to a cosine of about 0.02."""
+        geometry = n.add("ShaderNodeNewGeometry").outputs
+        normal = normal or geometry["Normal"]
+        missing = n.math("MAXIMUM", n.math("SUBTRACT", 0.02, n.vector("DOT_PRODUCT", normal, geometry["Incoming"])), 0.0)
+        return n.vector("NORMALIZE", n.vector("ADD", normal, n.scale(geometry["Incoming"], missing)))
 
     def look_up(self, n, cosine, roughness):
         if self.tables is None:
