@@ -245,6 +245,32 @@ TEST_CASE("a double-precision ray through every triangle finds what the renderer
   CHECK(swapped.off_theirs_right == moved);
 }
 
+TEST_CASE("Cycles bends a normal whose mirrored eye would leave under the triangle; blocks can do without") {
+  ExactView::Hit hit;
+  hit.geometric = {0, 0, 1};
+  hit.normal = {0, 0, 1};
+  hit.eye = glm::normalize(dvec3(1, 0, 0.3));
+  CHECK_FALSE(bent_by_cycles(hit));
+  hit.normal = glm::normalize(dvec3(-0.2, 0, 1));  // leans away from the eye: N.I = 0.09
+  CHECK(bent_by_cycles(hit));
+  hit.normal = glm::normalize(dvec3(0.2, 0, 1));
+  CHECK_FALSE(bent_by_cycles(hit));
+
+  const ImageF grey = flat_picture(64, 48, 0.2f);
+  ImageF other = grey;
+  std::vector<bool> spot(64 * 48, false);
+  for (int y = 10; y < 14; ++y)
+    for (int x = 20; x < 24; ++x) {
+      other.at(x, y, 1) = 0.4f;
+      spot[64 * y + x] = true;
+    }
+  CHECK(compare_colors(other, grey).block_rms > 0.01);
+  const ColorDifference without = compare_colors(other, grey, spot);
+  CHECK(without.block_rms == 0);
+  CHECK(without.left_out == doctest::Approx(16 / (64.0 * 48)));
+  CHECK(without.worst_mean == doctest::Approx(compare_colors(other, grey).worst_mean));
+}
+
 TEST_CASE("references of an export that has not changed are kept, others are rendered again") {
   const test::TemporaryFile here("blender", R"sh(#!/bin/sh
 # Stands in for Blender: copies a picture for every render asked for, and notes which.

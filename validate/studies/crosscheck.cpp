@@ -174,7 +174,7 @@ Prepared prepare(const SceneSpec& scene, const CrosscheckOptions& options) {
 struct Totals {
   LabelDifference labels;
   LabelJudgement exact;
-  double mean[2] = {0, 0}, block[2] = {0, 0}, alpha = 0, our_seconds = 0;
+  double mean[2] = {0, 0}, block[2] = {0, 0}, alpha = 0, bent = 0, our_seconds = 0;
 };
 
 void add(LabelDifference& sum, const LabelDifference& d) {
@@ -234,8 +234,8 @@ StudyResult crosscheck(const SceneSpec& scene, const CrosscheckOptions& options)
   std::string csv = "frame,camera,coat,surface,quantity,value,unit\n";
   std::string labels = "| camera | pixels | silhouette differs | farther than 0.01 px | farthest, px | depth within 1e-4 m | worst, m | median, m | NNOPCS within 1e-4 | worst | median |\n"
                        "|---|---|---|---|---|---|---|---|---|---|---|\n";
-  std::string colors = "| surface | camera | coat | ours R, G, B | Cycles R, G, B | worst of the means | alpha | rms of pixels | worst 16 x 16 block | rms of blocks |\n"
-                       "|---|---|---|---|---|---|---|---|---|---|\n";
+  std::string colors = "| surface | camera | coat | ours R, G, B | Cycles R, G, B | worst of the means | alpha | rms of pixels | bent normals | worst 16 x 16 block | rms of blocks |\n"
+                       "|---|---|---|---|---|---|---|---|---|---|---|\n";
   for (const CameraRecord& camera : p.frame.cameras) {
     const LabelMaps ours = labels_of_ours(p.mill->trace_labels(p.frame, camera));
     const LabelMaps theirs = labels_of_cycles(options.out / "cycles" / fmt::format("labels_{:03}.exr", camera.id), p.frame.geometry->scene, camera.width, camera.height, options.label_scale);
@@ -243,7 +243,12 @@ StudyResult crosscheck(const SceneSpec& scene, const CrosscheckOptions& options)
     add(totals.labels, d);
     // Where parts of surfaces are cut out, the first triangle is not always what is seen.
     LabelJudgement exact;
-    if (whole) exact = judge_labels(ours, theirs, ExactView(p.frame.geometry->scene, camera));
+    std::vector<bool> bent;
+    if (whole) {
+      const ExactView view(p.frame.geometry->scene, camera);
+      exact = judge_labels(ours, theirs, view);
+      bent = bent_pixels(view, camera.width, camera.height);
+    }
     add(totals.exact, exact);
     write_png(options.out / fmt::format("labels_{:03}.png", camera.id), label_sheet(ours, theirs));
     labels += fmt::format("| {} | {} | {} | {} | {:.4f} | {:.5f} | {:.3g} | {:.3g} | {:.5f} | {:.3g} | {:.3g} |\n", camera.id, d.pixels, d.differing, d.unexplained, d.farthest,
@@ -275,18 +280,20 @@ StudyResult crosscheck(const SceneSpec& scene, const CrosscheckOptions& options)
         const char* name = name_of(surface);
         const ImageF& a = view.find(Modality::rgb, coat)->f;
         const ImageF b = colors_of_cycles(cycles_file(options.out, name, camera.id, coat, samples));
-        const ColorDifference c = compare_colors(a, b);
+        const ColorDifference c = compare_colors(a, b, bent);
         const int s = static_cast<int>(surface);
         totals.mean[s] = std::max(totals.mean[s], c.worst_mean);
         totals.block[s] = std::max(totals.block[s], c.block_rms);
+        totals.bent = std::max(totals.bent, c.left_out);
         totals.alpha = std::max(totals.alpha, std::abs(c.alpha));
         write_png(options.out / fmt::format("rgb_{}_{:03}_{:03}.png", name, camera.id, coat), difference_sheet(a, b, picture_gain));
-        colors += fmt::format("| {} | {} | {} | {:.5f}, {:.5f}, {:.5f} | {:.5f}, {:.5f}, {:.5f} | {:.4f} | {:+.5f} | {:.4f} | {:.4f} | {:.4f} |\n", name, camera.id, coat, c.ours.x, c.ours.y,
-                              c.ours.z, c.theirs.x, c.theirs.y, c.theirs.z, c.worst_mean, c.alpha, c.rms, c.block_worst, c.block_rms);
+        colors += fmt::format("| {} | {} | {} | {:.5f}, {:.5f}, {:.5f} | {:.5f}, {:.5f}, {:.5f} | {:.4f} | {:+.5f} | {:.4f} | {:.4f} | {:.4f} | {:.4f} |\n", name, camera.id, coat, c.ours.x, c.ours.y,
+                              c.ours.z, c.theirs.x, c.theirs.y, c.theirs.z, c.worst_mean, c.alpha, c.rms, c.left_out, c.block_worst, c.block_rms);
         static constexpr const char* channel[] = {"mean R", "mean G", "mean B"};
         for (int k = 0; k < 3; ++k) row(coat, name, channel[k], c.ours[k] / c.theirs[k] - 1, "relative");
         row(coat, name, "alpha", c.alpha, "relative");
         row(coat, name, "rms of pixels", c.rms, "relative");
+        row(coat, name, "within 2 pixels of a normal that Cycles bends", c.left_out, "");
         row(coat, name, "rms of 16 x 16 blocks", c.block_rms, "relative");
       }
     }
@@ -312,6 +319,7 @@ StudyResult crosscheck(const SceneSpec& scene, const CrosscheckOptions& options)
       {"full: worst difference of mean colours", totals.mean[1], "", 0.03, {}},
       {"diffuse: worst rms of 16 x 16 blocks", totals.block[0], "", {}, {}},
       {"full: worst rms of 16 x 16 blocks", totals.block[1], "", {}, {}},
+      {"blocks: largest share of pixels left out beside normals that Cycles bends", totals.bent, "", {}, {}},
       {"alpha: worst difference of means", totals.alpha, "", 0.005, {}},
       {"time of Cycles, matched surfaces, all renders", seconds, "s", {}, {}},
       {"time of Cycles, matched surfaces, all renders, all cores", core_seconds, "s", {}, {}},
@@ -332,7 +340,8 @@ StudyResult crosscheck(const SceneSpec& scene, const CrosscheckOptions& options)
     result.figures.insert(result.figures.end(), judged.begin(), judged.end());
   }
   result.table = fmt::format("# {}\n\n{} x {}, {} samples a pixel, cameras {}, coats {}. Conventions: validate/blender/README.md.\n\n## Labels\n\n{}\n## Colours\n\n"
-                             "Means of linear colour over the pixels with alpha; differences relative to Cycles. Blocks hold noise as well: at these samples rms of pixels / 16.\n\n{}",
+                             "Means of linear colour over the pixels with alpha; differences relative to Cycles. Blocks leave out what lies within two pixels of a normal that "
+                             "Cycles bends, and hold noise as well: rms of pixels / 16 where pixels' errors are independent.\n\n{}",
                              result.title, p.frame.cameras[0].width, p.frame.cameras[0].height, samples,
                              [&] { std::vector<int> ids; for (const auto& c : p.frame.cameras) ids.push_back(c.id); return join(ids); }(), join(coats), labels, colors);
   write_file_atomically(options.out / "crosscheck.csv", csv);

@@ -62,8 +62,8 @@ struct LabelDifference {
 inline constexpr double label_tolerance = 1e-4, outline_tolerance = 0.01;
 LabelDifference compare_labels(const LabelMaps& ours, const LabelMaps& theirs, const std::vector<OutlineSegment>& outlines);
 
-// What pixel-centre rays meet first, in double and by trying every triangle: no hierarchy, no camera and no intersection of the
-// renderer's. Takes surfaces for whole, so it is for scenes without cut-outs.
+// What pixel-centre rays meet first, in double and by trying every triangle that covers the pixel: no hierarchy, no camera and
+// no intersection of the renderer's. Takes surfaces for whole, so it is for scenes without cut-outs. The scene must outlive it.
 class ExactView {
  public:
   ExactView(const Scene& scene, const CameraRecord& camera);
@@ -71,19 +71,27 @@ class ExactView {
     std::uint32_t animal = 0;  // 0: none, else 1 + its index
     double depth = 0;          // metres, camera z
     dvec3 nnopcs{0};
+    dvec3 normal{0}, geometric{0}, eye{0};  // camera axes, unit: interpolated, of the triangle (on the eye's side), towards the eye
   };
   Hit first_hit(int x, int y) const;
 
  private:
   struct Triangle {
-    dvec3 a, b, c;                    // metres, camera axes
-    dvec2 lower, upper;               // of x / z and y / z
-    dvec3 nnopcs_a, nnopcs_b, nnopcs_c;
-    std::uint32_t animal = 0;
+    dvec3 a, b, c;  // metres, camera axes
+    const Instance* instance = nullptr;
+    std::uint32_t index = 0;
   };
+  CameraRecord camera_;
   std::vector<Triangle> triangles_;
-  double fx_, fy_, cx_, cy_;
+  int tiles_x_ = 0, tiles_y_ = 0;
+  std::vector<std::vector<std::uint32_t>> tiles_;  // triangles whose bounding rectangle touches a tile of the picture
 };
+
+// Whether Cycles bends the interpolated normal there: it does so wherever the eye's mirror image would leave under the triangle
+// (R = 2 (N.I) N - I with R.Ng below the smaller of 0.01 and 0.9 Ng.I), for matt surfaces too; moomill takes the normal as it is.
+bool bent_by_cycles(const ExactView::Hit& hit);
+// Pixels within two of one where it does, row by row.
+std::vector<bool> bent_pixels(const ExactView& exact, int width, int height);
 
 // Ours and theirs against double precision: at every pixel where they are off from each other by more than the tolerance,
 // and at some of the others, evenly spread.
@@ -101,11 +109,12 @@ struct ColorDifference {
   double worst_mean = 0;     // largest relative difference of the three means
   double alpha = 0;          // relative difference of the mean alpha
   double rms = 0;            // of the pixels' difference, relative to the mean luminance
+  double left_out = 0;       // share of the pixels that blocks leave out
   double block_worst = 0;    // largest difference of means over blocks of 16 x 16 pixels, relative to the mean luminance
   double block_rms = 0;      // alike, root mean square over blocks
 };
-// 4 channels, premultiplied.
-ColorDifference compare_colors(const ImageF& ours, const ImageF& theirs);
+// 4 channels, premultiplied. Blocks leave out the pixels so marked; means do not.
+ColorDifference compare_colors(const ImageF& ours, const ImageF& theirs, const std::vector<bool>& leave_out = {});
 
 // Ours, theirs and the difference side by side: colours as sRGB; the difference times `gain` around middle grey.
 Image8 difference_sheet(const ImageF& ours, const ImageF& theirs, double gain);

@@ -110,7 +110,7 @@ LabelDifference compare_labels(const LabelMaps& ours, const LabelMaps& theirs, c
   return d;
 }
 
-ColorDifference compare_colors(const ImageF& ours, const ImageF& theirs) {
+ColorDifference compare_colors(const ImageF& ours, const ImageF& theirs, const std::vector<bool>& leave_out) {
   require_same_size(ours, theirs);
   ColorDifference d;
   double count = 0, alpha_ours = 0, alpha_theirs = 0, squares = 0;
@@ -130,6 +130,10 @@ ColorDifference compare_colors(const ImageF& ours, const ImageF& theirs) {
       alpha_ours += a[3];
       alpha_theirs += b[3];
       squares += glm::dot(difference, difference) / 3;
+      if (!leave_out.empty() && leave_out[static_cast<std::size_t>(y) * ours.width + x]) {
+        d.left_out += 1;
+        continue;
+      }
       sums[i] += difference;
       counts[i] += 1;
     }
@@ -141,6 +145,7 @@ ColorDifference compare_colors(const ImageF& ours, const ImageF& theirs) {
   for (int k = 0; k < 3; ++k)
     d.worst_mean = std::max(d.worst_mean, std::abs(d.ours[k] - d.theirs[k]) / std::max(1e-12, d.theirs[k]));
   d.rms = std::sqrt(squares / count) / level;
+  d.left_out /= count;
   double block_squares = 0;
   int blocks = 0;
   for (std::size_t i = 0; i < sums.size(); ++i) {

@@ -4,48 +4,96 @@
 
 namespace moomill {
 
-ExactView::ExactView(const Scene& scene, const CameraRecord& camera) : fx_(camera.fx), fy_(camera.fy), cx_(camera.cx), cy_(camera.cy) {
+namespace {
+
+constexpr int tile = 16;  // pixels
+
+// A vector of the world in the camera's axes.
+dvec3 turned(const CameraRecord& camera, const dvec3& v) {
   const auto& m = camera.world_to_camera;
+  dvec3 out;
+  for (int r = 0; r < 3; ++r) out[r] = m[4 * r] * v.x + m[4 * r + 1] * v.y + m[4 * r + 2] * v.z;
+  return out;
+}
+
+}  // namespace
+
+ExactView::ExactView(const Scene& scene, const CameraRecord& camera) : camera_(camera) {
+  tiles_x_ = (camera.width + tile - 1) / tile, tiles_y_ = (camera.height + tile - 1) / tile;
+  tiles_.resize(static_cast<std::size_t>(tiles_x_) * tiles_y_);
+  const dvec3 shift(camera.world_to_camera[3], camera.world_to_camera[7], camera.world_to_camera[11]);
   for (const Instance& in : scene.instances) {
-    const Surface& s = *in.surface;
     std::vector<dvec3> p;
-    for (const vec3& v : in.posed.positions) {
-      const dvec3 w = dvec3(v) + scene.origin;
-      dvec3 c;
-      for (int r = 0; r < 3; ++r) c[r] = m[4 * r] * w.x + m[4 * r + 1] * w.y + m[4 * r + 2] * w.z + m[4 * r + 3];
-      p.push_back(c);
-    }
-    for (const uvec3& t : s.triangles) {
-      Triangle e{p[t[0]], p[t[1]], p[t[2]], {}, {}, {}, {}, {}, static_cast<std::uint32_t>(in.animal + 1)};
+    for (const vec3& v : in.posed.positions) p.push_back(turned(camera, dvec3(v) + scene.origin) + shift);
+    for (std::size_t i = 0; i < in.surface->triangles.size(); ++i) {
+      const uvec3 t = in.surface->triangles[i];
+      const Triangle e{p[t[0]], p[t[1]], p[t[2]], &in, static_cast<std::uint32_t>(i)};
       if (e.a.z <= 0 && e.b.z <= 0 && e.c.z <= 0) continue;
-      constexpr double all = std::numeric_limits<double>::infinity();
-      e.lower = dvec2(-all), e.upper = dvec2(all);
+      dvec2 lower(0), upper(camera.width, camera.height);  // pixels; all of the picture where a corner is behind the eye
       if (e.a.z > 0 && e.b.z > 0 && e.c.z > 0) {
-        const dvec2 a = dvec2(e.a) / e.a.z, b = dvec2(e.b) / e.b.z, c = dvec2(e.c) / e.c.z;
-        e.lower = glm::min(a, glm::min(b, c)), e.upper = glm::max(a, glm::max(b, c));
+        const auto pixel = [&](const dvec3& q) { return dvec2(camera.fx * q.x / q.z + camera.cx, camera.fy * q.y / q.z + camera.cy); };
+        const dvec2 a = pixel(e.a), b = pixel(e.b), c = pixel(e.c);
+        lower = glm::max(lower, glm::min(a, glm::min(b, c)) - 1e-3), upper = glm::min(upper, glm::max(a, glm::max(b, c)) + 1e-3);
       }
-      if (!s.nnopcs.empty()) e.nnopcs_a = s.nnopcs[t[0]], e.nnopcs_b = s.nnopcs[t[1]], e.nnopcs_c = s.nnopcs[t[2]];
+      const auto number = static_cast<std::uint32_t>(triangles_.size());
       triangles_.push_back(e);
+      for (int y = static_cast<int>(lower.y) / tile; y < tiles_y_ && y * tile <= upper.y; ++y)
+        for (int x = static_cast<int>(lower.x) / tile; x < tiles_x_ && x * tile <= upper.x; ++x) tiles_[static_cast<std::size_t>(y) * tiles_x_ + x].push_back(number);
     }
   }
 }
 
 ExactView::Hit ExactView::first_hit(int x, int y) const {
   // With a direction of z = 1 the distance along the ray is the depth.
-  const dvec3 d((x + 0.5 - cx_) / fx_, (y + 0.5 - cy_) / fy_, 1.0);
+  const dvec3 d((x + 0.5 - camera_.cx) / camera_.fx, (y + 0.5 - camera_.cy) / camera_.fy, 1.0);
+  const Triangle* met = nullptr;
+  dvec3 weights(0);
   Hit best;
   best.depth = std::numeric_limits<double>::infinity();
-  for (const Triangle& e : triangles_) {
-    if (d.x < e.lower.x || d.y < e.lower.y || d.x > e.upper.x || d.y > e.upper.y) continue;
+  for (const std::uint32_t i : tiles_[static_cast<std::size_t>(y / tile) * tiles_x_ + x / tile]) {
+    const Triangle& e = triangles_[i];
     // Volumes of the tetrahedra that the ray's line and each edge span with the eye; their signs say inside or outside.
     const double a = glm::dot(d, glm::cross(e.b, e.c)), b = glm::dot(d, glm::cross(e.c, e.a)), c = glm::dot(d, glm::cross(e.a, e.b));
     const double sum = a + b + c;
     if (sum == 0 || !((a >= 0 && b >= 0 && c >= 0) || (a <= 0 && b <= 0 && c <= 0))) continue;
     const double depth = (a * e.a.z + b * e.b.z + c * e.c.z) / sum;
     if (!(depth > 0) || depth >= best.depth) continue;
-    best = {e.animal, depth, (a * e.nnopcs_a + b * e.nnopcs_b + c * e.nnopcs_c) / sum};
+    best.depth = depth;
+    met = &e;
+    weights = dvec3(a, b, c) / sum;
   }
+  if (!met) return best;
+  const Instance& in = *met->instance;
+  const uvec3 t = in.surface->triangles[met->index];
+  best.animal = static_cast<std::uint32_t>(in.animal + 1);
+  best.eye = -glm::normalize(d);
+  best.geometric = glm::normalize(glm::cross(met->b - met->a, met->c - met->a));
+  if (glm::dot(best.geometric, best.eye) < 0) best.geometric = -best.geometric;
+  for (int k = 0; k < 3; ++k) {
+    if (!in.surface->nnopcs.empty()) best.nnopcs += weights[k] * dvec3(in.surface->nnopcs[t[k]]);
+    best.normal += weights[k] * turned(camera_, dvec3(in.posed.normals[t[k]]));
+  }
+  best.normal = glm::length(best.normal) > 1e-6 ? glm::normalize(best.normal) : best.geometric;
+  if (glm::dot(best.normal, best.geometric) < 0) best.normal = -best.normal;
   return best;
+}
+
+bool bent_by_cycles(const ExactView::Hit& hit) {
+  const dvec3 mirrored = 2 * glm::dot(hit.normal, hit.eye) * hit.normal - hit.eye;
+  return glm::dot(hit.geometric, mirrored) < std::min(0.9 * glm::dot(hit.geometric, hit.eye), 0.01);
+}
+
+std::vector<bool> bent_pixels(const ExactView& exact, int width, int height) {
+  constexpr int reach = 2;  // pixels that the filter carries it to
+  std::vector<bool> out(static_cast<std::size_t>(width) * height, false);
+  for (int y = 0; y < height; ++y)
+    for (int x = 0; x < width; ++x) {
+      const ExactView::Hit hit = exact.first_hit(x, y);
+      if (!std::isfinite(hit.depth) || !bent_by_cycles(hit)) continue;
+      for (int j = std::max(0, y - reach); j <= std::min(height - 1, y + reach); ++j)
+        for (int i = std::max(0, x - reach); i <= std::min(width - 1, x + reach); ++i) out[static_cast<std::size_t>(j) * width + i] = true;
+    }
+  return out;
 }
 
 LabelJudgement judge_labels(const LabelMaps& ours, const LabelMaps& theirs, const ExactView& exact, int others) {
