@@ -268,6 +268,7 @@ TEST_CASE("Cycles bends a normal whose mirrored eye would leave under the triang
   const ColorDifference without = compare_colors(other, grey, spot);
   CHECK(without.block_rms == 0);
   CHECK(without.left_out == doctest::Approx(16 / (64.0 * 48)));
+  CHECK(without.worst_mean_without == 0);
   CHECK(without.worst_mean == doctest::Approx(compare_colors(other, grey).worst_mean));
 }
 

@@ -110,6 +110,7 @@ struct ColorDifference {
   double alpha = 0;          // relative difference of the mean alpha
   double rms = 0;            // of the pixels' difference, relative to the mean luminance
   double left_out = 0;       // share of the pixels that blocks leave out
+  double worst_mean_without = 0;  // worst_mean without them
   double block_worst = 0;    // largest difference of means over blocks of 16 x 16 pixels, relative to the mean luminance
   double block_rms = 0;      // alike, root mean square over blocks
 };
