@@ -79,7 +79,7 @@ std::string source_hash(const CrosscheckOptions& options, const std::string& exp
   if (const int status = run_logged({blender_program(options).string(), "--version"}, log); status != 0)
     run_error("{} --version ended with status {}; what it said is in {}", options.blender, status, log.string());
   std::string text = export_hash;
-  for (const fs::path& file : {log, script_file("crosscheck.py"), script_file("rebuild.py")}) {
+  for (const fs::path& file : {log, script_file("crosscheck.py"), script_file("rebuild.py"), script_file("lobes.py")}) {
     const auto bytes = read_file(file);
     text += fmt::format(" {}", xxh64_hex(bytes.data(), bytes.size()));
   }

@@ -29,16 +29,21 @@ ExactView::ExactView(const Scene& scene, const CameraRecord& camera) : camera_(c
       const uvec3 t = in.surface->triangles[i];
       const Triangle e{p[t[0]], p[t[1]], p[t[2]], &in, static_cast<std::uint32_t>(i)};
       if (e.a.z <= 0 && e.b.z <= 0 && e.c.z <= 0) continue;
-      dvec2 lower(0), upper(camera.width, camera.height);  // pixels; all of the picture where a corner is behind the eye
+      dvec2 lower(0),
+          upper(camera.width, camera.height);  // pixels; all of the picture where a corner is behind the eye
       if (e.a.z > 0 && e.b.z > 0 && e.c.z > 0) {
-        const auto pixel = [&](const dvec3& q) { return dvec2(camera.fx * q.x / q.z + camera.cx, camera.fy * q.y / q.z + camera.cy); };
+        const auto pixel = [&](const dvec3& q) {
+          return dvec2(camera.fx * q.x / q.z + camera.cx, camera.fy * q.y / q.z + camera.cy);
+        };
         const dvec2 a = pixel(e.a), b = pixel(e.b), c = pixel(e.c);
-        lower = glm::max(lower, glm::min(a, glm::min(b, c)) - 1e-3), upper = glm::min(upper, glm::max(a, glm::max(b, c)) + 1e-3);
+        lower = glm::max(lower, glm::min(a, glm::min(b, c)) - 1e-3),
+        upper = glm::min(upper, glm::max(a, glm::max(b, c)) + 1e-3);
       }
       const auto number = static_cast<std::uint32_t>(triangles_.size());
       triangles_.push_back(e);
       for (int y = static_cast<int>(lower.y) / tile; y < tiles_y_ && y * tile <= upper.y; ++y)
-        for (int x = static_cast<int>(lower.x) / tile; x < tiles_x_ && x * tile <= upper.x; ++x) tiles_[static_cast<std::size_t>(y) * tiles_x_ + x].push_back(number);
+        for (int x = static_cast<int>(lower.x) / tile; x < tiles_x_ && x * tile <= upper.x; ++x)
+          tiles_[static_cast<std::size_t>(y) * tiles_x_ + x].push_back(number);
     }
   }
 }
@@ -53,7 +58,8 @@ ExactView::Hit ExactView::first_hit(int x, int y) const {
   for (const std::uint32_t i : tiles_[static_cast<std::size_t>(y / tile) * tiles_x_ + x / tile]) {
     const Triangle& e = triangles_[i];
     // Volumes of the tetrahedra that the ray's line and each edge span with the eye; their signs say inside or outside.
-    const double a = glm::dot(d, glm::cross(e.b, e.c)), b = glm::dot(d, glm::cross(e.c, e.a)), c = glm::dot(d, glm::cross(e.a, e.b));
+    const double a = glm::dot(d, glm::cross(e.b, e.c)), b = glm::dot(d, glm::cross(e.c, e.a)),
+                 c = glm::dot(d, glm::cross(e.a, e.b));
     const double sum = a + b + c;
     if (sum == 0 || !((a >= 0 && b >= 0 && c >= 0) || (a <= 0 && b <= 0 && c <= 0))) continue;
     const double depth = (a * e.a.z + b * e.b.z + c * e.c.z) / sum;
@@ -91,7 +97,8 @@ std::vector<bool> bent_pixels(const ExactView& exact, int width, int height) {
       const ExactView::Hit hit = exact.first_hit(x, y);
       if (!std::isfinite(hit.depth) || !bent_by_cycles(hit)) continue;
       for (int j = std::max(0, y - reach); j <= std::min(height - 1, y + reach); ++j)
-        for (int i = std::max(0, x - reach); i <= std::min(width - 1, x + reach); ++i) out[static_cast<std::size_t>(j) * width + i] = true;
+        for (int i = std::max(0, x - reach); i <= std::min(width - 1, x + reach); ++i)
+          out[static_cast<std::size_t>(j) * width + i] = true;
     }
   return out;
 }
@@ -101,20 +108,26 @@ LabelJudgement judge_labels(const LabelMaps& ours, const LabelMaps& theirs, cons
   LabelJudgement j;
   const auto nnopcs_error = [](const float* value, const dvec3& truth) {
     double worst = 0;
-    for (int k = 0; k < 3; ++k) worst = std::isnan(value[k]) ? std::numeric_limits<double>::infinity() : std::max(worst, std::abs(value[k] - truth[k]));
+    for (int k = 0; k < 3; ++k)
+      worst = std::isnan(value[k]) ? std::numeric_limits<double>::infinity()
+                                   : std::max(worst, std::abs(value[k] - truth[k]));
     return worst;
   };
   std::uint64_t both = 0;
-  for (std::size_t p = 0; p < ours.animal.size(); ++p) both += ours.animal[p] != 0 && ours.animal[p] == theirs.animal[p];
+  for (std::size_t p = 0; p < ours.animal.size(); ++p)
+    both += ours.animal[p] != 0 && ours.animal[p] == theirs.animal[p];
   const std::uint64_t step = std::max<std::uint64_t>(1, both / std::max(1, others));
   std::uint64_t n = 0;
   for (std::size_t p = 0; p < ours.animal.size(); ++p) {
     if (ours.animal[p] == 0 || ours.animal[p] != theirs.animal[p]) continue;
     const float *a = &ours.nnopcs[3 * p], *b = &theirs.nnopcs[3 * p];
-    const bool off = !(std::abs(double(ours.depth[p]) - theirs.depth[p]) <= label_tolerance) || !(nnopcs_error(b, dvec3(a[0], a[1], a[2])) <= label_tolerance);
+    const bool off = !(std::abs(double(ours.depth[p]) - theirs.depth[p]) <= label_tolerance) ||
+                     !(nnopcs_error(b, dvec3(a[0], a[1], a[2])) <= label_tolerance);
     if (n++ % step != 0 && !off) continue;
     const ExactView::Hit truth = exact.first_hit(static_cast<int>(p % ours.width), static_cast<int>(p / ours.width));
-    const auto depth_error = [&](float depth) { return std::isnan(depth) ? std::numeric_limits<double>::infinity() : std::abs(depth - truth.depth); };
+    const auto depth_error = [&](float depth) {
+      return std::isnan(depth) ? std::numeric_limits<double>::infinity() : std::abs(depth - truth.depth);
+    };
     const double ours_depth = depth_error(ours.depth[p]), theirs_depth = depth_error(theirs.depth[p]);
     const double ours_nnopcs = nnopcs_error(a, truth.nnopcs), theirs_nnopcs = nnopcs_error(b, truth.nnopcs);
     ++j.judged;
