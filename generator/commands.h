@@ -90,6 +90,7 @@ struct CrosscheckCommand {
   SceneOptions options;
   std::optional<int> frame;
   int label_scale = 3, threads = 0, reference = 0;
+  bool enforce = false;  // exit status 1 where a figure misses its bound
 };
 int run_crosscheck(const CrosscheckCommand& command);
 

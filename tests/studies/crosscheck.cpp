@@ -7,6 +7,7 @@
 
 #include "generator/dataset/codecs.h"
 #include "generator/dataset/json.h"
+#include "tests/rigs/fixtures.h"
 #include "tests/temporary_file.h"
 
 using namespace moomill;
@@ -22,6 +23,19 @@ SceneSpec tiny_scene() {
   o.coats = {0};
   apply_overrides(scene, o);
   scene.render.coat_resolution = 64;
+  return scene;
+}
+
+// A tube in its bind pose, which is there in no time; the rig lies in the folder.
+SceneSpec tube_scene(const std::filesystem::path& folder) {
+  write_glb(fixtures::tube(), folder / "tube.glb");
+  std::ofstream(folder / "tube.toml") << "[[animals]]\nspecies = \"tube.glb\"\n";
+  SceneSpec scene = read_scene(folder / "tube.toml");
+  Overrides o;
+  o.resolution = {48, 36};
+  o.samples = 4;
+  o.cameras = {19};
+  apply_overrides(scene, o);
   return scene;
 }
 
@@ -187,6 +201,138 @@ TEST_CASE("outlines of the cow lie where its silhouette ends") {
       CHECK(std::min(distance_to_outline({x + 0.5, y + 0.5}, outlines), distance_to_outline({x + 1.5, y + 0.5}, outlines)) <= 0.5);
     }
   CHECK(borders > 20);
+}
+
+TEST_CASE("a double-precision ray through every triangle finds what the renderer finds") {
+  const test::TemporaryFile here("x", "");
+  SceneSpec spec = tube_scene(here.folder());
+  Overrides o;
+  o.modalities = {"instance", "depth", "nnopcs"};
+  apply_overrides(spec, o);
+  const Mill mill(spec);
+  const Frame frame = mill.prepare(spec.frames.front());
+  const View view = mill.trace_labels(frame, frame.cameras.at(0));
+  const ExactView exact(frame.geometry->scene, frame.cameras.at(0));
+  LabelMaps ours{view.width, view.height, view.find(Modality::instance)->u.data, view.find(Modality::depth)->f.data, view.find(Modality::nnopcs)->f.data};
+  std::size_t seen = 0;
+  for (std::size_t p = 0; p < ours.animal.size(); p += 2) {
+    const ExactView::Hit hit = exact.first_hit(static_cast<int>(p % ours.width), static_cast<int>(p / ours.width));
+    REQUIRE(hit.animal == ours.animal[p]);
+    if (hit.animal == 0) continue;
+    ++seen;
+    CHECK(ours.depth[p] == doctest::Approx(hit.depth).epsilon(1e-6));
+    for (int k = 0; k < 3; ++k) CHECK(std::abs(ours.nnopcs[3 * p + k] - hit.nnopcs[k]) < 1e-5);
+  }
+  CHECK(seen > 20);
+
+  // Of two that are off from each other, the one that was moved is told to be wrong, at every pixel where it is.
+  LabelMaps theirs = ours;
+  std::uint64_t moved = 0;
+  for (std::size_t p = 0; p < theirs.animal.size(); ++p)
+    if (theirs.animal[p] != 0 && p % 5 == 0) {
+      (p % 2 ? theirs.depth[p] : theirs.nnopcs[3 * p]) += 3e-4f;
+      ++moved;
+    }
+  const LabelJudgement j = judge_labels(ours, theirs, exact, 10);
+  CHECK(j.off == moved);
+  CHECK(j.off_ours_right == moved);
+  CHECK(j.off_theirs_right == 0);
+  CHECK(j.judged > moved);
+  CHECK(j.our_depth < 1e-5);
+  CHECK(j.their_depth == doctest::Approx(3e-4).epsilon(0.05));
+  const LabelJudgement swapped = judge_labels(theirs, ours, exact, 10);
+  CHECK(swapped.off_ours_right == 0);
+  CHECK(swapped.off_theirs_right == moved);
+}
+
+TEST_CASE("Cycles bends a normal whose mirrored eye would leave under the triangle; blocks can do without") {
+  ExactView::Hit hit;
+  hit.geometric = {0, 0, 1};
+  hit.normal = {0, 0, 1};
+  hit.eye = glm::normalize(dvec3(1, 0, 0.3));
+  CHECK_FALSE(bent_by_cycles(hit));
+  hit.normal = glm::normalize(dvec3(-0.2, 0, 1));  // leans away from the eye: N.I = 0.09
+  CHECK(bent_by_cycles(hit));
+  hit.normal = glm::normalize(dvec3(0.2, 0, 1));
+  CHECK_FALSE(bent_by_cycles(hit));
+
+  const ImageF grey = flat_picture(64, 48, 0.2f);
+  ImageF other = grey;
+  std::vector<bool> spot(64 * 48, false);
+  for (int y = 10; y < 14; ++y)
+    for (int x = 20; x < 24; ++x) {
+      other.at(x, y, 1) = 0.4f;
+      spot[64 * y + x] = true;
+    }
+  CHECK(compare_colors(other, grey).block_rms > 0.01);
+  const ColorDifference without = compare_colors(other, grey, spot);
+  CHECK(without.block_rms == 0);
+  CHECK(without.left_out == doctest::Approx(16 / (64.0 * 48)));
+  CHECK(without.worst_mean_without == 0);
+  CHECK(without.worst_mean == doctest::Approx(compare_colors(other, grey).worst_mean));
+}
+
+TEST_CASE("references of an export that has not changed are kept, others are rendered again") {
+  const test::TemporaryFile here("blender", R"sh(#!/bin/sh
+# Stands in for Blender: copies a picture for every render asked for, and notes which.
+[ "$1" = --version ] && { echo "Blender $(cat "$(dirname "$0")/version")"; exit 0; }
+here=$(dirname "$0")
+while [ "$1" != -- ]; do shift; done
+folder=$2
+shift 2
+while [ $# -gt 0 ]; do
+  case $1 in
+    --spp) spp=$2;;
+    --sources) sources=$2;;
+    --skip) skip=$2;;
+  esac
+  shift 2
+done
+mkdir -p "$folder/cycles"
+: > "$here/rendered"
+renders=
+for n in $(echo "$spp" | tr , ' '); do
+  name=rgb_principled_019_000_$n.exr
+  [ "$name" = "$skip" ] && continue
+  cp "$here/picture.exr" "$folder/cycles/$name"
+  echo "$n" >> "$here/rendered"
+  render="\"camera\": 19, \"coat\": 0, \"spp\": $n, \"surface\": \"principled\", \"wall_seconds\": $n, \"core_seconds\": $n"
+  echo "{\"sources\": \"$sources\", $render}" > "$folder/cycles/$name.json"
+  renders="$renders${renders:+, }{$render}"
+done
+echo "{\"blender\": \"3.4.1\", \"threads\": 2, \"start_seconds\": 1, \"build_seconds\": 1, \"renders\": [$renders]}" > "$folder/cycles/build.json"
+)sh");
+  const auto write = [&](const char* name, const std::string& text) { std::ofstream(here.folder() / name, std::ios::binary) << text; };
+  std::filesystem::permissions(here.path, std::filesystem::perms::owner_all);
+  write("version", "3.4.1");
+  std::vector<float> level(48 * 36, 0.25f);
+  std::vector<ExrChannel> channels;
+  for (const char* name : {"View.Combined.A", "View.Combined.B", "View.Combined.G", "View.Combined.R"}) channels.push_back({name, level.data()});
+  const auto picture = encode_exr(48, 36, channels);
+  write("picture.exr", std::string(picture.begin(), picture.end()));
+
+  CrosscheckOptions options;
+  options.out = here.folder() / "out";
+  options.blender = here.path.string();
+  options.timing_samples = {4};
+  options.reference_samples = 64;
+  const SceneSpec scene = tube_scene(here.folder());
+  const auto run = [&](const SceneSpec& of) {
+    const StudyResult r = time_cycles(of, options);
+    const auto bytes = read_file(here.folder() / "rendered");
+    CHECK(value_of(r, "seconds of all renders") == 68);  // kept ones keep their times
+    return std::string(bytes.begin(), bytes.end());
+  };
+  CHECK(run(scene) == "4\n64\n");
+  CHECK(run(scene) == "4\n");
+  SceneSpec other = scene;
+  other.render.max_bounces = 3;
+  CHECK(run(other) == "4\n64\n");
+  CHECK(run(other) == "4\n");
+  write("version", "3.6.0");  // another Blender may render other pictures
+  CHECK(run(other) == "4\n64\n");
+  std::filesystem::remove(options.out / "cycles" / "rgb_principled_019_000_64.exr.json");  // killed in the middle of it
+  CHECK(run(other) == "4\n64\n");
 }
 
 TEST_CASE("without Blender one sentence says so") {

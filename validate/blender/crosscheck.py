@@ -5,6 +5,7 @@
 FOLDER holds scene.json and the arrays it names (validate/studies/crosscheck.h). Into FOLDER/cycles go
     labels_CAMERA.exr                      depth, object index, NNOPCS: one sample through (nearly) the pixel centre
     rgb_SURFACE_CAMERA_COAT_SPP.exr        scene-linear colour, premultiplied, with alpha
+    rgb_..._SPP.exr.json                   what was measured of this render, and with --sources what it was made from
     renders.csv                            a row per colour render; the error columns are left to moomill
     build.json                             seconds of what is not in these rows: start, building, first synchronisation
 Surfaces: `diffuse` and `full` are matched to moomill's (README.md says how), `principled` is Blender's own material with the
@@ -23,7 +24,7 @@ import bpy
 began = time.time()
 sys.dont_write_bytecode = True
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
-from rebuild import AOV, Export, Materials, build_lights, build_mesh, place_camera
+from rebuild import AOV, Export, Materials, build_lights, build_mesh, move_to_camera, place_camera
 
 COLUMNS = ["renderer", "frame", "camera", "coat", "spp", "seconds", "core_seconds", "mse", "relative_mse", "ciede2000"]
 
@@ -114,6 +115,12 @@ def render(scene, samples, seed, path):
     return wall, core, told
 
 
+def write_beside(path, values):
+    with open(path + ".json.tmp", "w") as file:
+        json.dump(values, file, indent=1)
+    os.replace(path + ".json.tmp", path + ".json")
+
+
 def numbers(text):
     return [int(word) for word in text.split(",")] if text else None
 
@@ -129,6 +136,8 @@ def main():
     parser.add_argument("--cameras", default="", help="these of the exported ones only")
     parser.add_argument("--coats", default="", help="these of the exported ones only")
     parser.add_argument("--repeat", type=int, default=1, help="times every colour render is made and timed")
+    parser.add_argument("--sources", default="", help="kept beside every colour render: a hash by which moomill finds whether it may be kept")
+    parser.add_argument("--skip", default="", help="names of colour renders that are kept instead of made again, with commas")
     parser.add_argument("--launched", type=float, default=0, help="when Blender was started, seconds since 1970: to tell how long it took to get here")
     arguments = parser.parse_args(sys.argv[sys.argv.index("--") + 1:] if "--" in sys.argv else [])
     if arguments.label_scale % 2 == 0:
@@ -178,12 +187,13 @@ def main():
         scene.cycles.filter_width = 0.01  # the least there is: rays within 0.01 pixels of the centre
         for camera in cameras:
             place_camera(scene, camera, arguments.label_scale)
-            build_lights(export, camera["lights"])
+            move_to_camera(export, things, camera)
             render(scene, 1, 0, os.path.join(out, f"labels_{camera['id']:03}.exr"))
         scene.cycles.max_bounces = bounces
+        move_to_camera(export, things, None)
     told["build_seconds"] = time.perf_counter() - building
 
-    rows = []
+    rows, skip = [], set(arguments.skip.split(","))
     passes(False)
     scene.cycles.filter_width = export.data["filter_radius"]  # Cycles' window is twice as wide as this, from -w to w
     for surface in [s for s in arguments.surface.split(",") if s]:
@@ -200,10 +210,15 @@ def main():
                     for repeat in range(arguments.repeat):
                         # Other samples for every count, so that an error against a reference is not that of shared samples.
                         path = os.path.join(out, f"rgb_{surface}_{camera['id']:03}_{coat:03}_{spp}.exr")
+                        if os.path.basename(path) in skip:
+                            continue
+                        if os.path.exists(path + ".json"):
+                            os.remove(path + ".json")  # or a kill between here and below would leave a picture with another's hash
                         wall, core, times = render(scene, spp, spp + 65537 * repeat, path)
                         rows.append([f"cycles {surface}", export.data["frame"], camera["id"], coat, spp, f"{wall:.4f}", f"{core:.4f}", "", "", ""])
                         told.setdefault("renders", []).append({"camera": camera["id"], "coat": coat, "spp": spp, "surface": surface,
                                                                "wall_seconds": wall, "core_seconds": core, **times})
+                        write_beside(path, {"sources": arguments.sources, **told["renders"][-1]})
                         print(f"crosscheck: {rows[-1][0]} camera {camera['id']} coat {coat} spp {spp}: {wall:.2f} s, {core:.2f} core s, {times}", flush=True)
     with open(os.path.join(out, "renders.csv"), "w", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows([COLUMNS] + rows)

@@ -9,6 +9,8 @@ import bpy
 import numpy
 from mathutils import Matrix
 
+from lobes import METAL_IOR, lobe_tables
+
 AOV = "nnopcs"
 # Cycles has meanings of its own for the names "tangent" and "vertex_color".
 COLOR, TANGENT, SIDE = "moomill_color", "moomill_tangent", "moomill_side"
@@ -33,47 +35,6 @@ def srgb_to_linear(bytes_):
     table = numpy.arange(256, dtype=numpy.float64) / 255
     table = numpy.where(table <= 0.04045, table / 12.92, ((table + 0.055) / 1.055) ** 2.4).astype(numpy.float32)
     return table[bytes_]
-
-
-def specular_albedo():
-    """Directional albedo Ed(cosine, roughness) of a GGX lobe at IOR 1.5 with height-correlated Smith masking, [65, 64]: rows
-    are roughness 0..1, columns the square root of the cosine 0..1. What the matt base of moomill's surface leaves out. Sums
-    over visible normals (Heitz 2018): the weight of a sample is F G2 / G1."""
-    columns, rows = 64, 65
-    x = numpy.linspace(0, 1, columns)
-    co = numpy.maximum(x * x, 1e-4)[:, None, None]
-    # Finer towards the end of the radius, where the tail of GGX decides what falls under the horizon.
-    q = 1 - (numpy.arange(64) + 0.5) / 64
-    r = numpy.sqrt(1 - q ** 3)[None, :, None]
-    weight = (q ** 2)[None, :, None] * numpy.ones((1, 1, 24))
-    weight = weight / weight.sum()
-    phi = (2 * math.pi * (numpy.arange(24) + 0.5) / 24)[None, None, :]
-    table = numpy.zeros((rows, columns), dtype=numpy.float32)
-    for j in range(rows):
-        alpha = max((j / (rows - 1)) ** 2, 1e-3)
-        so = numpy.sqrt(1 - co * co)
-        vx, vz = alpha * so, co
-        length = numpy.sqrt(vx * vx + vz * vz)
-        vx, vz = vx / length, vz / length
-        # Basis around the stretched view direction (vx, 0, vz): (0, 1, 0) and (-vz, 0, vx).
-        p1, s = r * numpy.cos(phi), 0.5 * (1 + vz)
-        p2 = (1 - s) * numpy.sqrt(numpy.maximum(0, 1 - p1 * p1)) + s * r * numpy.sin(phi)
-        p3 = numpy.sqrt(numpy.maximum(0, 1 - p1 * p1 - p2 * p2))
-        h = numpy.stack(numpy.broadcast_arrays(alpha * (-p2 * vz + p3 * vx), alpha * p1, numpy.maximum(1e-7, p2 * vx + p3 * vz)))
-        h /= numpy.sqrt((h * h).sum(axis=0))
-        oh = so * h[0] + co * h[2]
-        ci = 2 * oh * h[2] - co
-
-        def smith(c):
-            c2 = numpy.maximum(c * c, 1e-14)
-            return 0.5 * (numpy.sqrt(1 + alpha * alpha * numpy.maximum(0, 1 - c2) / c2) - 1)
-
-        c = numpy.clip(oh, 0, 1)
-        g = numpy.sqrt(1.5 ** 2 - 1 + c * c)
-        fresnel = 0.5 * ((g - c) / (g + c)) ** 2 * (1 + ((c * (g + c) - 1) / (c * (g - c) + 1)) ** 2)
-        value = numpy.where((ci > 0) & (oh > 0), fresnel * (1 + smith(co)) / (1 + smith(co) + smith(ci)), 0)
-        table[j] = (value * weight).sum(axis=(1, 2))
-    return table
 
 
 # --- images ---
@@ -185,7 +146,7 @@ class Materials:
                 raise ValueError(f"texture {t['file']} is mirrored beyond its border, which Blender 3.4 cannot; give it another wrap mode")
             if t["placement"] not in self.placements:
                 self.placements.append(t["placement"])
-        self.albedo = None
+        self.tables = None
 
     def texture(self, n, index, use, name=""):
         t = self.export.data["textures"][index]
@@ -222,6 +183,7 @@ class Materials:
             shader = n.add("ShaderNodeBsdfDiffuse")
             n.set(shader.inputs["Color"], color)
             n.set(shader.inputs["Roughness"], 0.0)
+            n.set(shader.inputs["Normal"], self.leaned(n, None))
             closure = shader.outputs["BSDF"]
         else:
             closure = self.shiny(n, surface, m, color)
@@ -251,38 +213,87 @@ class Materials:
             shader = self.principled(n, color, roughness, metallic, normal)
             return shader.outputs["BSDF"]
 
-        geometry = n.add("ShaderNodeNewGeometry")
         roughness = n.math("MAXIMUM", roughness, math.sqrt(1e-3))  # moomill's smallest alpha
-        facing = n.math("MAXIMUM", n.vector("DOT_PRODUCT", normal if normal else geometry.outputs["Normal"], geometry.outputs["Incoming"]), 0.0)
-        if self.albedo is None:
-            table = specular_albedo()
-            pixels = numpy.ones(table.shape + (4,), dtype=numpy.float32)
-            pixels[..., :3] = table[::-1, :, None]  # row of roughness 0 at the bottom, where v is 0
-            self.albedo = new_image("specular_albedo", pixels, "Non-Color", True)
-        place = n.add("ShaderNodeCombineXYZ")
-        n.set(place.inputs["X"], n.math("DIVIDE", n.math("ADD", n.math("MULTIPLY", n.math("SQRT", facing), 63.0), 0.5), 64.0))
-        n.set(place.inputs["Y"], n.math("DIVIDE", n.math("ADD", n.math("MULTIPLY", roughness, 64.0), 0.5), 65.0))
-        albedo = n.image(self.albedo, None, "EXTEND")
-        n.set(albedo.inputs["Vector"], place.outputs["Vector"])
-        left = n.math("SUBTRACT", 1.0, n.split(albedo.outputs["Color"])["Red"])
+        normal = self.leaned(n, normal)
+        eye = n.add("ShaderNodeNewGeometry").outputs["Incoming"]
+        es, ed, es_ratio, ed_ratio, schlick_ratio = self.look_up(n, n.vector("DOT_PRODUCT", normal, eye), roughness)
+
         matt = n.add("ShaderNodeBsdfDiffuse")
-        n.set(matt.inputs["Color"], n.scale(color, left))
+        n.set(matt.inputs["Color"], n.scale(color, n.math("SUBTRACT", 1.0, ed)))
         n.set(matt.inputs["Roughness"], 0.0)
-        if normal:
-            n.set(matt.inputs["Normal"], normal)
-        both = n.add("ShaderNodeAddShader")
-        n.set(both.inputs[0], matt.outputs["BSDF"])
-        n.set(both.inputs[1], self.principled(n, (0.0, 0.0, 0.0), roughness, 0.0, normal).outputs["BSDF"])
+        n.set(matt.inputs["Normal"], normal)
+        lobe = self.principled(n, (0.0, 0.0, 0.0), roughness, 0.0, normal).outputs["BSDF"]
+        both = self.sum(n, matt.outputs["BSDF"], self.times(n, lobe, ed_ratio))
         if not isinstance(metallic, bpy.types.NodeSocket) and metallic == 0:
-            return both.outputs["Shader"]
+            return both
         mix = n.add("ShaderNodeMixShader")
         n.set(mix.inputs["Fac"], metallic)
-        n.set(mix.inputs[1], both.outputs["Shader"])
-        metal = self.principled(n, color, roughness, 1.0, normal, "MULTI_GGX")
-        # Cycles blends metals to white by the Fresnel curve of an IOR, moomill by Schlick's; at 1.44 both have one average, 1/21.
-        n.set(metal.inputs["Specular"], 0.41)
-        n.set(mix.inputs[2], metal.outputs["BSDF"])
+        n.set(mix.inputs[1], both)
+        n.set(mix.inputs[2], self.metal(n, color, roughness, normal, es, es_ratio, schlick_ratio))
         return mix.outputs["Shader"]
+
+    @staticmethod
+    def leaned(n, normal):
+        """As moomill does: a shading normal (none: the mesh's) that leans away from the eye is leaned back, to a cosine of about 0.02."""
+        geometry = n.add("ShaderNodeNewGeometry").outputs
+        normal = normal or geometry["Normal"]
+        missing = n.math("MAXIMUM", n.math("SUBTRACT", 0.02, n.vector("DOT_PRODUCT", normal, geometry["Incoming"])), 0.0)
+        return n.vector("NORMALIZE", n.vector("ADD", normal, n.scale(geometry["Incoming"], missing)))
+
+    def look_up(self, n, cosine, roughness):
+        if self.tables is None:
+            table = lobe_tables()
+            self.tables = []
+            for k in (0, 2):
+                pixels = numpy.ones(table.shape[:2] + (4,), dtype=numpy.float32)
+                pixels[..., :3] = table[::-1, :, k:k + 3]  # row of roughness 0 at the bottom, where v is 0
+                self.tables.append(new_image(f"lobes{k}", pixels, "Non-Color", True))
+        place = n.add("ShaderNodeCombineXYZ")
+        n.set(place.inputs["X"], n.math("DIVIDE", n.math("ADD", n.math("MULTIPLY", n.math("SQRT", n.math("MAXIMUM", cosine, 0.0)), 63.0), 0.5), 64.0))
+        n.set(place.inputs["Y"], n.math("DIVIDE", n.math("ADD", n.math("MULTIPLY", roughness, 64.0), 0.5), 65.0))
+        out = []
+        for image in self.tables:
+            node = n.image(image, None, "EXTEND")
+            n.set(node.inputs["Vector"], place.outputs["Vector"])
+            out.append(n.split(node.outputs["Color"]))
+        return out[0]["Red"], out[0]["Green"], out[1]["Red"], out[1]["Green"], out[1]["Blue"]
+
+    def metal(self, n, color, roughness, normal, es, es_ratio, schlick_ratio):
+        """moomill's metal is F (1 + b k) with Schlick's F = b + (1 - b) s and Turquin's k = (1 - Es) / Es. Here b is a Glossy BSDF, and s
+        the dielectric's curve of METAL_IOR, scaled so that its albedo is that of s. How much of s differs between channels, but a
+        closure has one weight: it gets that of the darkest channel, and in the others a base colour takes away what is too much."""
+        k = n.math("DIVIDE", n.math("SUBTRACT", 1.0, es), es)
+        gain = n.vector("ADD", n.scale(color, k), (1.0, 1.0, 1.0))
+        edge = n.scale(n.vector("MULTIPLY", n.vector("SUBTRACT", (1.0, 1.0, 1.0), color), gain), schlick_ratio)
+        part = n.add("ShaderNodeSeparateXYZ")
+        n.set(part.inputs["Vector"], edge)
+        most = n.math("MAXIMUM", n.math("MAXIMUM", part.outputs["X"], part.outputs["Y"]), n.math("MAXIMUM", part.outputs["Z"], 1e-4))
+        tint = n.vector("SUBTRACT", (1.0, 1.0, 1.0), n.scale(edge, n.math("DIVIDE", 1.0, most)))
+        lobe = self.principled(n, tint, roughness, 1.0, normal)
+        n.set(lobe.inputs["Specular"], ((METAL_IOR - 1) / (METAL_IOR + 1)) ** 2 / 0.08)
+        even = n.add("ShaderNodeBsdfGlossy", distribution="GGX")
+        n.set(even.inputs["Color"], n.vector("SUBTRACT", n.scale(n.vector("MULTIPLY", color, gain), es_ratio), n.scale(tint, most)))
+        n.set(even.inputs["Roughness"], roughness)
+        n.set(even.inputs["Normal"], normal)
+        return self.sum(n, self.times(n, lobe.outputs["BSDF"], most), even.outputs["BSDF"])
+
+    @staticmethod
+    def times(n, closure, factor):
+        """A closure times 0 to 2: a Mix Shader with nothing clamps its factor to 1, so what is above comes from a second."""
+        parts = []
+        for f in (factor, n.math("SUBTRACT", factor, 1.0)):
+            mix = n.add("ShaderNodeMixShader")
+            n.set(mix.inputs["Fac"], f)
+            n.set(mix.inputs[2], closure)
+            parts.append(mix.outputs["Shader"])
+        return Materials.sum(n, *parts)
+
+    @staticmethod
+    def sum(n, a, b):
+        both = n.add("ShaderNodeAddShader")
+        n.set(both.inputs[0], a)
+        n.set(both.inputs[1], b)
+        return both.outputs["Shader"]
 
     @staticmethod
     def principled(n, color, roughness, metallic, normal, distribution="GGX"):
@@ -401,11 +412,32 @@ def place_camera(scene, camera, scale):
     data.shift_y = (cy - 0.5 * height) / width * (scene.render.pixel_aspect_y / scene.render.pixel_aspect_x)
     data.clip_start, data.clip_end = 1e-3, 1e6
     data.dof.use_dof = False
+    thing.matrix_world = Matrix(world_of(camera).tolist())  # nested lists would be taken for columns
+
+
+def world_of(camera):
+    """Where a camera of Blender's axes stands in the exported world, [4, 4]."""
     m = numpy.array(camera["world_to_camera"], dtype=numpy.float64).reshape(3, 4)
     world = numpy.eye(4)
     world[:3, :3] = m[:, :3].T @ numpy.diag([1.0, -1.0, -1.0])
     world[:3, 3] = -m[:, :3].T @ m[:, 3]
-    thing.matrix_world = Matrix(world.tolist())  # nested lists would be taken for columns
+    return world
+
+
+def move_to_camera(export, things, camera):
+    """Moves the vertices into the camera's own axes, in double, and the camera to the origin. Cycles' floats then round the
+    turn of the camera not at all and the direction of a ray, seen from its origin, by a tenth; without a camera the
+    vertices go back to the exported world."""
+    for thing, instance in zip(things, export.data["instances"]):
+        positions = export.array(instance["positions"], numpy.float32, instance["vertices"], 3)
+        if camera is not None:
+            inverse = numpy.linalg.inv(world_of(camera))
+            positions = positions.astype(numpy.float64) @ inverse[:3, :3].T + inverse[:3, 3]
+        thing.data.vertices.foreach_set("co", positions.astype(numpy.float32).ravel())
+        thing.data.update()
+        thing.update_tag()
+    if camera is not None:
+        bpy.context.scene.camera.matrix_world = Matrix.Identity(4)
 
 
 def build_lights(export, lights):

@@ -50,18 +50,48 @@ int run_logged(const std::vector<std::string>& words, const fs::path& log) {
   return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
 }
 
-void run_blender(const CrosscheckOptions& options, const fs::path& folder, const std::vector<std::string>& more) {
+fs::path blender_program(const CrosscheckOptions& options) {
   const fs::path program = find_program(options.blender);
   if (program.empty())
     input_error("{} is not there; install Blender 3.4 (section crosscheck of apt-packages.txt) or say where it is by --blender", options.blender);
-  const fs::path script = data_root() / "validate" / "blender" / "crosscheck.py";
+  return program;
+}
+
+fs::path script_file(const char* name) {
+  const fs::path script = data_root() / "validate" / "blender" / name;
   if (!fs::exists(script)) input_error("{} is not there; set MOOMILL_HOME to the folder that holds validate/", script.string());
+  return script;
+}
+
+void run_blender(const CrosscheckOptions& options, const fs::path& folder, const std::vector<std::string>& more) {
+  const fs::path program = blender_program(options), script = script_file("crosscheck.py");
   std::vector<std::string> words = {program.string(), "-b", "--factory-startup", "--python-exit-code", "1", "-P", script.string(), "--",
                                     folder.string(), "--threads", std::to_string(options.threads), "--launched", fmt::format("{:.3f}", std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count())};
   words.insert(words.end(), more.begin(), more.end());
   const fs::path log = folder / "blender.log";
   if (const int status = run_logged(words, log); status != 0)
     run_error("Blender ended with status {}; its last words are in {}", status, log.string());
+}
+
+// Hash of all that a picture by Cycles hangs on: what was exported, the scripts, and the version of Blender.
+std::string source_hash(const CrosscheckOptions& options, const std::string& export_hash) {
+  const fs::path log = options.out / "blender_version.log";
+  if (const int status = run_logged({blender_program(options).string(), "--version"}, log); status != 0)
+    run_error("{} --version ended with status {}; what it said is in {}", options.blender, status, log.string());
+  std::string text = export_hash;
+  for (const fs::path& file : {log, script_file("crosscheck.py"), script_file("rebuild.py"), script_file("lobes.py")}) {
+    const auto bytes = read_file(file);
+    text += fmt::format(" {}", xxh64_hex(bytes.data(), bytes.size()));
+  }
+  return xxh64_hex(text.data(), text.size());
+}
+
+// What lies beside a picture that is whole and was made from the same sources; null where it must be rendered.
+Json kept_render(const fs::path& picture, const std::string& hash) {
+  const fs::path beside = picture.string() + ".json";
+  if (!fs::exists(picture) || !fs::exists(beside)) return nullptr;
+  const Json j = parse_json_file(beside);
+  return j.value("sources", "") == hash ? j : Json(nullptr);
 }
 
 // A plane of Blender's file: "View.Depth.Z" and the like, whatever the layer is called.
@@ -143,7 +173,8 @@ Prepared prepare(const SceneSpec& scene, const CrosscheckOptions& options) {
 // What is summed up over views.
 struct Totals {
   LabelDifference labels;
-  double mean[2] = {0, 0}, block[2] = {0, 0}, alpha = 0, our_seconds = 0;
+  LabelJudgement exact;
+  double mean[2] = {0, 0}, mean_unbent[2] = {0, 0}, block[2] = {0, 0}, alpha = 0, bent = 0, our_seconds = 0;
 };
 
 void add(LabelDifference& sum, const LabelDifference& d) {
@@ -156,6 +187,17 @@ void add(LabelDifference& sum, const LabelDifference& d) {
   sum.farthest = std::max(sum.farthest, d.farthest);
   sum.depth_worst = std::max(sum.depth_worst, d.depth_worst);
   sum.nnopcs_worst = std::max(sum.nnopcs_worst, d.nnopcs_worst);
+}
+
+void add(LabelJudgement& sum, const LabelJudgement& j) {
+  sum.off += j.off;
+  sum.off_ours_right += j.off_ours_right;
+  sum.off_theirs_right += j.off_theirs_right;
+  sum.judged += j.judged;
+  sum.our_depth = std::max(sum.our_depth, j.our_depth);
+  sum.their_depth = std::max(sum.their_depth, j.their_depth);
+  sum.our_nnopcs = std::max(sum.our_nnopcs, j.our_nnopcs);
+  sum.their_nnopcs = std::max(sum.their_nnopcs, j.their_nnopcs);
 }
 
 double share_within(std::uint64_t off, std::uint64_t of) {
@@ -187,16 +229,27 @@ StudyResult crosscheck(const SceneSpec& scene, const CrosscheckOptions& options)
               {"--labels", "--label-scale", std::to_string(options.label_scale), "--surface", "diffuse,full", "--spp", std::to_string(samples)});
 
   Totals totals;
+  const std::vector<Instance>& instances = p.dressed->scene.instances;
+  const bool whole = std::none_of(instances.begin(), instances.end(), [&](const Instance& in) { return p.dressed->scene.cut_out(in); });
   std::string csv = "frame,camera,coat,surface,quantity,value,unit\n";
   std::string labels = "| camera | pixels | silhouette differs | farther than 0.01 px | farthest, px | depth within 1e-4 m | worst, m | median, m | NNOPCS within 1e-4 | worst | median |\n"
                        "|---|---|---|---|---|---|---|---|---|---|---|\n";
-  std::string colors = "| surface | camera | coat | ours R, G, B | Cycles R, G, B | worst of the means | alpha | rms of pixels | worst 16 x 16 block | rms of blocks |\n"
-                       "|---|---|---|---|---|---|---|---|---|---|\n";
+  std::string colors = "| surface | camera | coat | ours R, G, B | Cycles R, G, B | worst of the means | without bent normals | alpha | rms of pixels | share of bent normals | worst 16 x 16 block | rms of blocks |\n"
+                       "|---|---|---|---|---|---|---|---|---|---|---|---|\n";
   for (const CameraRecord& camera : p.frame.cameras) {
     const LabelMaps ours = labels_of_ours(p.mill->trace_labels(p.frame, camera));
     const LabelMaps theirs = labels_of_cycles(options.out / "cycles" / fmt::format("labels_{:03}.exr", camera.id), p.frame.geometry->scene, camera.width, camera.height, options.label_scale);
     const LabelDifference d = compare_labels(ours, theirs, outlines_in_view(p.frame.geometry->scene, camera));
     add(totals.labels, d);
+    // Where parts of surfaces are cut out, the first triangle is not always what is seen.
+    LabelJudgement exact;
+    std::vector<bool> bent;
+    if (whole) {
+      const ExactView view(p.frame.geometry->scene, camera);
+      exact = judge_labels(ours, theirs, view);
+      bent = bent_pixels(view, camera.width, camera.height);
+    }
+    add(totals.exact, exact);
     write_png(options.out / fmt::format("labels_{:03}.png", camera.id), label_sheet(ours, theirs));
     labels += fmt::format("| {} | {} | {} | {} | {:.4f} | {:.5f} | {:.3g} | {:.3g} | {:.5f} | {:.3g} | {:.3g} |\n", camera.id, d.pixels, d.differing, d.unexplained, d.farthest,
                           share_within(d.depth_off, d.compared), d.depth_worst, d.depth_median, share_within(d.nnopcs_off, d.compared), d.nnopcs_worst, d.nnopcs_median);
@@ -211,6 +264,13 @@ StudyResult crosscheck(const SceneSpec& scene, const CrosscheckOptions& options)
     row(-1, "", "depth median difference", d.depth_median, "m");
     row(-1, "", "nnopcs within 1e-4", share_within(d.nnopcs_off, d.compared), "");
     row(-1, "", "nnopcs median difference", d.nnopcs_median, "");
+    if (whole) {
+      row(-1, "", "off by more than 1e-4 in depth or nnopcs", static_cast<double>(exact.off), "pixels");
+      row(-1, "", "of those moomill right in double precision", static_cast<double>(exact.off_ours_right), "pixels");
+      row(-1, "", "of those Cycles right in double precision", static_cast<double>(exact.off_theirs_right), "pixels");
+      row(-1, "", "worst depth of moomill against double precision", exact.our_depth, "m");
+      row(-1, "", "worst depth of Cycles against double precision", exact.their_depth, "m");
+    }
 
     for (const CheckedSurface surface : surfaces) {
       const auto start = std::chrono::steady_clock::now();
@@ -220,18 +280,21 @@ StudyResult crosscheck(const SceneSpec& scene, const CrosscheckOptions& options)
         const char* name = name_of(surface);
         const ImageF& a = view.find(Modality::rgb, coat)->f;
         const ImageF b = colors_of_cycles(cycles_file(options.out, name, camera.id, coat, samples));
-        const ColorDifference c = compare_colors(a, b);
+        const ColorDifference c = compare_colors(a, b, bent);
         const int s = static_cast<int>(surface);
         totals.mean[s] = std::max(totals.mean[s], c.worst_mean);
         totals.block[s] = std::max(totals.block[s], c.block_rms);
+        totals.mean_unbent[s] = std::max(totals.mean_unbent[s], c.worst_mean_without);
+        totals.bent = std::max(totals.bent, c.left_out);
         totals.alpha = std::max(totals.alpha, std::abs(c.alpha));
         write_png(options.out / fmt::format("rgb_{}_{:03}_{:03}.png", name, camera.id, coat), difference_sheet(a, b, picture_gain));
-        colors += fmt::format("| {} | {} | {} | {:.5f}, {:.5f}, {:.5f} | {:.5f}, {:.5f}, {:.5f} | {:.4f} | {:+.5f} | {:.4f} | {:.4f} | {:.4f} |\n", name, camera.id, coat, c.ours.x, c.ours.y,
-                              c.ours.z, c.theirs.x, c.theirs.y, c.theirs.z, c.worst_mean, c.alpha, c.rms, c.block_worst, c.block_rms);
+        colors += fmt::format("| {} | {} | {} | {:.5f}, {:.5f}, {:.5f} | {:.5f}, {:.5f}, {:.5f} | {:.4f} | {:.4f} | {:+.5f} | {:.4f} | {:.4f} | {:.4f} | {:.4f} |\n", name, camera.id, coat, c.ours.x, c.ours.y,
+                              c.ours.z, c.theirs.x, c.theirs.y, c.theirs.z, c.worst_mean, c.worst_mean_without, c.alpha, c.rms, c.left_out, c.block_worst, c.block_rms);
         static constexpr const char* channel[] = {"mean R", "mean G", "mean B"};
         for (int k = 0; k < 3; ++k) row(coat, name, channel[k], c.ours[k] / c.theirs[k] - 1, "relative");
         row(coat, name, "alpha", c.alpha, "relative");
         row(coat, name, "rms of pixels", c.rms, "relative");
+        row(coat, name, "within 2 pixels of a normal that Cycles bends", c.left_out, "");
         row(coat, name, "rms of 16 x 16 blocks", c.block_rms, "relative");
       }
     }
@@ -255,15 +318,33 @@ StudyResult crosscheck(const SceneSpec& scene, const CrosscheckOptions& options)
       {"NNOPCS: share within 1e-4", share_within(l.nnopcs_off, l.compared), "", {}, 0.999},
       {"diffuse: worst difference of mean colours", totals.mean[0], "", 0.005, {}},
       {"full: worst difference of mean colours", totals.mean[1], "", 0.03, {}},
+      {"diffuse: worst difference of mean colours, without normals that Cycles bends", totals.mean_unbent[0], "", {}, {}},
+      {"full: worst difference of mean colours, without normals that Cycles bends", totals.mean_unbent[1], "", {}, {}},
       {"diffuse: worst rms of 16 x 16 blocks", totals.block[0], "", {}, {}},
       {"full: worst rms of 16 x 16 blocks", totals.block[1], "", {}, {}},
+      {"blocks: largest share of pixels left out beside normals that Cycles bends", totals.bent, "", {}, {}},
       {"alpha: worst difference of means", totals.alpha, "", 0.005, {}},
       {"time of Cycles, matched surfaces, all renders", seconds, "s", {}, {}},
       {"time of Cycles, matched surfaces, all renders, all cores", core_seconds, "s", {}, {}},
       {"time of moomill, all renders", totals.our_seconds, "s", {}, {}},
   };
+  if (whole) {
+    const LabelJudgement& e = totals.exact;
+    const std::vector<Figure> judged = {
+        {"double precision: pixels judged", static_cast<double>(e.judged), "pixels", {}, {}},
+        {"double precision: worst depth of moomill", e.our_depth, "m", label_tolerance, {}},
+        {"double precision: worst depth of Cycles", e.their_depth, "m", {}, {}},
+        {"double precision: worst NNOPCS of moomill", e.our_nnopcs, "", label_tolerance, {}},
+        {"double precision: worst NNOPCS of Cycles", e.their_nnopcs, "", {}, {}},
+        {"double precision: pixels where the two are off by more than 1e-4", static_cast<double>(e.off), "pixels", {}, {}},
+        {"double precision: of those moomill within 1e-4", static_cast<double>(e.off_ours_right), "pixels", {}, static_cast<double>(e.off)},
+        {"double precision: of those Cycles within 1e-4", static_cast<double>(e.off_theirs_right), "pixels", {}, {}},
+    };
+    result.figures.insert(result.figures.end(), judged.begin(), judged.end());
+  }
   result.table = fmt::format("# {}\n\n{} x {}, {} samples a pixel, cameras {}, coats {}. Conventions: validate/blender/README.md.\n\n## Labels\n\n{}\n## Colours\n\n"
-                             "Means of linear colour over the pixels with alpha; differences relative to Cycles. Blocks hold noise as well: at these samples rms of pixels / 16.\n\n{}",
+                             "Means of linear colour over the pixels with alpha; differences relative to Cycles. Blocks leave out what lies within two pixels of a normal that "
+                             "Cycles bends, and hold noise as well: rms of pixels / 16 where pixels' errors are independent.\n\n{}",
                              result.title, p.frame.cameras[0].width, p.frame.cameras[0].height, samples,
                              [&] { std::vector<int> ids; for (const auto& c : p.frame.cameras) ids.push_back(c.id); return join(ids); }(), join(coats), labels, colors);
   write_file_atomically(options.out / "crosscheck.csv", csv);
@@ -273,12 +354,26 @@ StudyResult crosscheck(const SceneSpec& scene, const CrosscheckOptions& options)
 
 StudyResult time_cycles(const SceneSpec& scene, const CrosscheckOptions& options) {
   const Prepared p = prepare(scene, options);
-  export_crosscheck(*p.mill, p.frame, *p.dressed, options.out);
+  const std::string sources = source_hash(options, export_crosscheck(*p.mill, p.frame, *p.dressed, options.out));
   std::vector<int> samples = options.timing_samples;
-  if (options.reference_samples > 0) samples.push_back(options.reference_samples);
-  run_blender(options, options.out, {"--surface", "principled", "--spp", join(samples)});
+  Json kept = Json::array();
+  std::vector<std::string> skip;
+  if (options.reference_samples > 0) {
+    samples.push_back(options.reference_samples);
+    for (const CameraRecord& camera : p.frame.cameras)
+      for (const int coat : p.dressed->coats) {
+        const fs::path picture = cycles_file(options.out, "principled", camera.id, coat, options.reference_samples);
+        if (Json render = kept_render(picture, sources); !render.is_null()) {
+          kept.push_back(std::move(render));
+          skip.push_back(picture.filename().string());
+        }
+      }
+  }
+  run_blender(options, options.out, {"--surface", "principled", "--spp", join(samples), "--sources", sources, "--skip", fmt::format("{}", fmt::join(skip, ","))});
 
-  const Json told = parse_json_file(options.out / "cycles" / "build.json");
+  Json told = parse_json_file(options.out / "cycles" / "build.json");
+  if (!told.contains("renders")) told["renders"] = Json::array();
+  for (const Json& render : kept) told["renders"].push_back(render);
   StudyResult result;
   result.title = fmt::format("Run times of Blender {} on frame {} of {}, {} threads", told.at("blender").get<std::string>(), p.frame.number, fs::path(scene.file).filename().string(),
                              told.at("threads").get<int>());
@@ -312,7 +407,10 @@ StudyResult time_cycles(const SceneSpec& scene, const CrosscheckOptions& options
     result.table += fmt::format("| {} | {} | {} | {:.3f} | {:.3f} | {:.3f} | {} |\n", camera, coat, spp, row.seconds, row.core_seconds,
                                 r.value("synchronization_time", 0.0), cells);
   }
-  result.figures = {{"seconds of all renders", seconds, "s", {}, {}}, {"core seconds of all renders", core_seconds, "s", {}, {}}};
+  if (!kept.empty()) result.table += fmt::format("\n{} references were in the folder and are kept, with the times of when they were rendered.\n", kept.size());
+  result.figures = {{"seconds of all renders", seconds, "s", {}, {}},
+                    {"core seconds of all renders", core_seconds, "s", {}, {}},
+                    {"references kept from an earlier run", static_cast<double>(kept.size()), "", {}, {}}};
   if (!rows.empty()) write_file_atomically(options.out / convergence_file, convergence_csv(rows));  // what `converge --against` reads
   return result;
 }

@@ -110,9 +110,10 @@ LabelDifference compare_labels(const LabelMaps& ours, const LabelMaps& theirs, c
   return d;
 }
 
-ColorDifference compare_colors(const ImageF& ours, const ImageF& theirs) {
+ColorDifference compare_colors(const ImageF& ours, const ImageF& theirs, const std::vector<bool>& leave_out) {
   require_same_size(ours, theirs);
   ColorDifference d;
+  dvec3 ours_kept(0), theirs_kept(0);
   double count = 0, alpha_ours = 0, alpha_theirs = 0, squares = 0;
   constexpr int block = 16;  // pixels
   const int blocks_x = (ours.width + block - 1) / block, blocks_y = (ours.height + block - 1) / block;
@@ -130,6 +131,12 @@ ColorDifference compare_colors(const ImageF& ours, const ImageF& theirs) {
       alpha_ours += a[3];
       alpha_theirs += b[3];
       squares += glm::dot(difference, difference) / 3;
+      if (!leave_out.empty() && leave_out[static_cast<std::size_t>(y) * ours.width + x]) {
+        d.left_out += 1;
+        continue;
+      }
+      ours_kept += ca;
+      theirs_kept += cb;
       sums[i] += difference;
       counts[i] += 1;
     }
@@ -138,9 +145,12 @@ ColorDifference compare_colors(const ImageF& ours, const ImageF& theirs) {
   d.theirs /= count;
   d.alpha = alpha_theirs > 0 ? alpha_ours / alpha_theirs - 1 : std::numeric_limits<double>::infinity();
   const double level = std::max(1e-12, 0.2126 * d.theirs.x + 0.7152 * d.theirs.y + 0.0722 * d.theirs.z);
-  for (int k = 0; k < 3; ++k)
+  for (int k = 0; k < 3; ++k) {
     d.worst_mean = std::max(d.worst_mean, std::abs(d.ours[k] - d.theirs[k]) / std::max(1e-12, d.theirs[k]));
+    d.worst_mean_without = std::max(d.worst_mean_without, std::abs(ours_kept[k] - theirs_kept[k]) / std::max(1e-12, theirs_kept[k]));
+  }
   d.rms = std::sqrt(squares / count) / level;
+  d.left_out /= count;
   double block_squares = 0;
   int blocks = 0;
   for (std::size_t i = 0; i < sums.size(); ++i) {

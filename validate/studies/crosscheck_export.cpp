@@ -16,12 +16,18 @@ class Folder {
   Json write(const std::string& name, const std::vector<T>& values) const {
     static_assert(std::is_trivially_copyable_v<T>);
     if (values.empty()) return nullptr;
-    write_file_atomically(path_ / name, values.data(), values.size() * sizeof(T));
+    write(name, values.data(), values.size() * sizeof(T));
     return name;
   }
+  void write(const std::string& name, const void* data, std::size_t size) const {
+    write_file_atomically(path_ / name, data, size);
+    written_ += name + " " + xxh64_hex(data, size) + "\n";
+  }
+  std::string hash() const { return xxh64_hex(written_.data(), written_.size()); }
 
  private:
   fs::path path_;
+  mutable std::string written_;  // names and hashes, in order
 };
 
 Json vec_json(const vec3& v) { return {v.x, v.y, v.z}; }
@@ -100,7 +106,7 @@ Json lights_json(const Lights& lights, const Folder& folder, std::vector<const E
 
 }  // namespace
 
-void export_crosscheck(const Mill& mill, const Frame& frame, const Dressed& dressed, const fs::path& path) {
+std::string export_crosscheck(const Mill& mill, const Frame& frame, const Dressed& dressed, const fs::path& path) {
   const Folder folder(path);
   const Scene& scene = dressed.scene;
   const Appearance& appearance = *scene.appearance;
@@ -154,7 +160,9 @@ void export_crosscheck(const Mill& mill, const Frame& frame, const Dressed& dres
                               {"nnopcs", folder.write(name("nnopcs.f32"), s.nnopcs)}, {"faces", folder.write(name("faces.u32"), s.triangles)},
                               {"face_materials", folder.write(name("face_materials.u16"), s.materials)}, {"parts", folder.write(name("parts.u16"), s.parts)}});
   }
-  write_file_atomically(path / "scene.json", dump_json(j));
+  const std::string text = dump_json(j);
+  folder.write("scene.json", text.data(), text.size());
+  return folder.hash();
 }
 
 Dressed with_surface(const Dressed& dressed, CheckedSurface surface) {
