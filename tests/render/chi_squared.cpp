@@ -32,7 +32,7 @@ struct Numbers {
 };
 }  // namespace
 
-TEST_CASE("low-discrepancy samples: uniform over pixels, in one pair and jointly in two pairs, two samples and two pixels") {
+TEST_CASE("low-discrepancy samples: uniform over pixels, in one pair and jointly in two pairs and two pixels") {
   for (const std::uint32_t index : {0u, 1u, 63u, 1000003u}) {
     std::vector<double> pair(32 * 32, 0.0), pairs(256, 0.0), samples(256, 0.0), neighbours(256, 0.0);
     constexpr int n = 200000;
@@ -43,7 +43,6 @@ TEST_CASE("low-discrepancy samples: uniform over pixels, in one pair and jointly
       ++pair[int(32 * u.x) * 32 + int(32 * u.y)];
       ++pairs[joint(u, v)];
       ++neighbours[joint(u, x)];
-      // Two samples of a pair are stratified against each other, but each is uniform given the scramble's first bits.
       ++samples[int(16 * w.x) * 16 + int(16 * w.y)];
     }
     CAPTURE(index);
@@ -56,6 +55,26 @@ TEST_CASE("low-discrepancy samples: uniform over pixels, in one pair and jointly
 
 // The filter's inverse table has 1024 straight pieces, so the outermost 1/1024 of the samples on either side lie evenly where the window falls to
 // nothing: cells there are joined, their sum must be right.
+TEST_CASE("low-discrepancy samples of an image's pixels: uniform over streams, in one pair and jointly in two pairs and two neighbours") {
+  for (const int samples : {1, 16, 100}) {
+    std::vector<double> pair(32 * 32, 0.0), pairs(256, 0.0), apart(256, 0.0);
+    constexpr int n = 100000;
+    const int index = samples - 1;
+    for (int stream = 0; stream < n; ++stream) {
+      const PixelSampler a = PixelSampler::in_image(mix64(stream), 37, 90, samples), b = PixelSampler::in_image(mix64(stream), 600, 91, samples);
+      const vec2 u = a.get(3, index), v = a.get(8, index), w = b.get(3, index);
+      const auto joint = [](const vec2& s, const vec2& t) { return ((int(4 * s.x) * 4 + int(4 * s.y)) * 4 + int(4 * t.x)) * 4 + int(4 * t.y); };
+      ++pair[int(32 * u.x) * 32 + int(32 * u.y)];
+      ++pairs[joint(u, v)];
+      ++apart[joint(u, w)];  // of another block of 256 pixels: independent; within a block they are stratified against each other
+    }
+    CAPTURE(samples);
+    CHECK(pearson(pair, std::vector<double>(pair.size(), n / 1024.0)) > significance);
+    CHECK(pearson(pairs, std::vector<double>(256, n / 256.0)) > significance);
+    CHECK(pearson(apart, std::vector<double>(256, n / 256.0)) > significance);
+  }
+}
+
 TEST_CASE("pixel filter: chi-squared against the Blackman-Harris window") {
   for (const double radius : {0.5, 1.5, 3.0}) {
     const PixelFilter filter(radius);
@@ -81,6 +100,14 @@ TEST_CASE("pixel filter: chi-squared against the Blackman-Harris window") {
       expected.push_back(e * n);
       o = e = 0;
     }
+    // weight() is the same window, as a density.
+    double integral = 0;
+    for (int k = 0; k < 2000; ++k) {
+      const double x = radius * (2 * (k + 0.5) / 2000 - 1), a = 2 * pi * (k + 0.5) / 2000, w = filter.weight(static_cast<float>(std::abs(x)));
+      CHECK_MESSAGE(std::abs(w - (0.35875 - 0.48829 * std::cos(a) + 0.14128 * std::cos(2 * a) - 0.01168 * std::cos(3 * a)) / (2 * radius * 0.35875)) < 1e-5, x);
+      integral += w * 2 * radius / 2000;
+    }
+    CHECK(integral == doctest::Approx(1).epsilon(1e-5));
     CAPTURE(radius);
     CAPTURE(expected.size());
     CHECK(expected.size() > 20);
