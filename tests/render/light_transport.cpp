@@ -4,67 +4,18 @@
 
 #include "generator/core/parallel.h"
 #include "tests/render/fixtures.h"
+#include "tests/render/reference.h"
 
 using namespace moomill;
 using namespace moomill::test;
 
 namespace {
 
-double fresnel(double c) {  // Fresnel's equations from Snell's law
-  const double s2 = (1 - c * c) / (1.5 * 1.5), ct = std::sqrt(1 - s2);
-  const double rs = (c - 1.5 * ct) / (c + 1.5 * ct), rp = (1.5 * c - ct) / (1.5 * c + ct);
-  return 0.5 * (rs * rs + rp * rp);
-}
-double ggx_specular(const dvec3& wo, const dvec3& wi, double alpha, bool mirror) {
-  const dvec3 h = glm::normalize(wo + wi);
-  const double a2 = alpha * alpha, q = h.z * h.z * (a2 - 1) + 1, d = a2 / (pi * q * q);
-  auto lambda = [&](double c) { return 0.5 * (std::sqrt(1 + a2 * (1 - c * c) / (c * c)) - 1); };
-  return d / (1 + lambda(wo.z) + lambda(wi.z)) * (mirror ? 1 : fresnel(glm::dot(wo, h))) / (4 * wo.z * wi.z);
-}
-
-// Directional albedo by plain quadrature over wi.
-struct Albedo {
-  std::vector<double> table;
-  double average = 0;
-  Albedo(double alpha, bool mirror) {
-    constexpr int n = 100;
-    for (int i = 0; i <= n; ++i) {
-      const double c = std::max(0.003, i / double(n));
-      const dvec3 wo(std::sqrt(1 - c * c), 0, c);
-      double sum = 0;
-      constexpr int m = 300;
-      for (int a = 0; a < m; ++a)
-        for (int b = 0; b < m; ++b) {
-          const double z = (a + 0.5) / m, phi = pi * (b + 0.5) / m, s = std::sqrt(1 - z * z);
-          sum += ggx_specular(wo, {s * std::cos(phi), s * std::sin(phi), z}, alpha, mirror) * z;
-        }
-      table.push_back(sum / (m * m) * 2 * pi);
-    }
-    for (int i = 0; i < 1000; ++i) average += 2 * at((i + 0.5) / 1000) * (i + 0.5) / 1000 / 1000;
-  }
-  double at(double c) const {
-    const double x = std::clamp(c, 0.0, 1.0) * 100;
-    const int i = std::min(99, int(x));
-    return table[i] + (x - i) * (table[i + 1] - table[i]);
-  }
-};
-
 struct Finish {
-  double roughness, metallic;
+  ReferenceFinish model;
   dvec3 base;
-  Albedo dielectric, mirror;
-  Finish(double r, double m, dvec3 b) : roughness(r), metallic(m), base(b), dielectric(r * r, false), mirror(r * r, true) {}
-  dvec3 evaluate(const dvec3& wo, const dvec3& wi) const {
-    const double alpha = roughness * roughness;
-    const dvec3 h = glm::normalize(wo + wi);
-    dvec3 f(0);
-    f += (1 - metallic) * (dvec3(ggx_specular(wo, wi, alpha, false)) +
-                           base / pi * (1 - dielectric.at(wo.z)) * (1 - dielectric.at(wi.z)) / (1 - dielectric.average));
-    const dvec3 schlick = base + (dvec3(1) - base) * std::pow(1 - glm::dot(wo, h), 5.0);
-    const double es = mirror.at(wo.z);
-    f += metallic * ggx_specular(wo, wi, alpha, true) * schlick * (dvec3(1) + base * (1 - es) / es);
-    return f;
-  }
+  Finish(double roughness, double metallic, dvec3 base_) : model(roughness, metallic), base(base_) {}
+  dvec3 evaluate(const dvec3& wo, const dvec3& wi) const { return model.evaluate(wo, wi, base); }
 };
 
 struct World {
