@@ -39,7 +39,7 @@ struct ProbeReport {
   };
   Cost start;               // loading, and the rig's file
   Cost baking;              // of all coats
-  double frame = 0;         // pose, skin, hierarchy
+  double frame = 0;         // pose, skin, hierarchy, light held on the surface
   double labels = 0;        // of a picture (frame and camera), all but rgb, with encoding
   double light = 0;         // of a picture in all coats, at the scene's samples
   double encoding = 0;      // of rgb, of a picture in all coats
