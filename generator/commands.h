@@ -14,6 +14,7 @@ struct PlanCommand {
   std::string scene;
   SceneOptions options;
   bool json = false;
+  double probe_seconds = 5;
 };
 int run_plan(const PlanCommand& command);
 

@@ -32,6 +32,9 @@ int run(int argc, char** argv) {
                             "moomill plan scenes/nepumoo.toml", status, [&] { return run_plan(plan); });
   c->add_option("scene", plan.scene, "scene file")->required()->type_name("SCENE");
   c->add_flag("--json", plan.json, "for programs");
+  c->add_option("--probe", plan.probe_seconds, "seconds of work, after loading, that the time is measured by; default 5; 0: typical figures, nothing is loaded")
+      ->type_name("SECONDS")
+      ->check(CLI::Range(0.0, 3600.0));
   add_scene_options(c, plan.options);
 
   GenerateCommand generate;
