@@ -347,13 +347,13 @@ TEST_CASE("a coat alone equals the same coat in a batch of twelve, bit for bit, 
 }
 
 TEST_CASE("a target error is met, by samples that no coat has a say in") {
-  const Surface ball = sphere_surface(40, 80, 1, 4);  // dented: parts in its own shadow
+  const Surface ball = sphere_surface(40, 80), plate = plate_surface({-1.5f, -1.5f, -0.7f}, {3, 0, 0}, {0, 3, 0});
   auto render = [&](const std::vector<vec3>& coats, double target, int samples, std::uint64_t stream) {
     auto a = std::make_shared<Appearance>();
     add_material(*a, 0.7f, 0, coats);
     Scene scene;
     scene.appearance = a;
-    scene.instances = {instance_of(ball, 0, 0)};
+    scene.instances = {instance_of(ball, 0, 0), instance_of(plate, 0, 0)};  // in each other's shadow
     Lights lights;
     lights.environment = std::make_shared<Environment>(vec3(0.4f));
     lights.suns.push_back({glm::normalize(vec3(1, 0.3f, 1)), vec3(2), 0.05f});
@@ -371,7 +371,7 @@ TEST_CASE("a target error is met, by samples that no coat has a say in") {
   const std::vector<vec3> coats = {vec3(1), vec3(0.5f, 0.2f, 0.1f), vec3(0.03f)};
   const Radiance reference = render(coats, 0, 4096, 1);
   std::uint64_t last = 0;
-  for (const double target : {0.05, 0.02}) {
+  for (const double target : {0.025, 0.01}) {  // where more than a few samples are needed; of fewer the pilot says less
     double worst = 0;
     constexpr int runs = 4;
     std::uint64_t paths = 0;
@@ -395,7 +395,7 @@ TEST_CASE("a target error is met, by samples that no coat has a say in") {
     for (const double e : error) worst = std::max(worst, std::sqrt(e));
     CAPTURE(target);
     MESSAGE("target ", target, ": ", worst, " with ", double(paths) / (64 * 64), " samples a pixel of the picture");
-    CHECK(worst < 1.4 * target);  // the pilot's eight samples say it to some 20 %
+    CHECK(worst < 1.5 * target);  // the pilot's eight samples say it to some 20 %
     CHECK(worst > 0.5 * target);
     CHECK(paths > 2 * last);
     last = paths;
