@@ -68,6 +68,7 @@ void further_coats(benchmark::State& state) {
   for (Herd& h : herds) std::sort(h.seconds.begin(), h.seconds.end());
   for (int i = 0; i < 4; ++i) state.counters[fmt::format("s_{:04}", sizes[i])] = herds[i].seconds[herds[i].seconds.size() / 2];
 }
-BENCHMARK(further_coats)->Arg(256)->Arg(1000)->Iterations(3)->Unit(benchmark::kMillisecond);
+BENCHMARK(further_coats)->Arg(256)->Iterations(3)->Unit(benchmark::kMillisecond);
+BENCHMARK(further_coats)->Arg(1000)->Iterations(1)->Unit(benchmark::kMillisecond);  // minutes
 
 }  // namespace
