@@ -86,6 +86,7 @@ Overrides parse_overrides(const SceneOptions& options) {
   if (!options.modalities.empty()) o.modalities = parse_words("--modalities", options.modalities);
   if (!options.resolution.empty()) o.resolution = parse_resolution(options.resolution);
   o.samples = options.samples;
+  o.target_error = options.target_error;
   if (options.surface_light) o.surface_light = true;
   return o;
 }

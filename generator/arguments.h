@@ -20,6 +20,7 @@ std::vector<std::string> parse_words(const std::string& option, const std::strin
 struct SceneOptions {
   std::string frames, cameras, coats, modalities, resolution;
   std::optional<int> samples;
+  std::optional<double> target_error;
   bool surface_light = false;
 };
 Overrides parse_overrides(const SceneOptions& options);

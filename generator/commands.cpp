@@ -34,7 +34,10 @@ GenerateOptions generate_options(const fs::path& out, ProgressBar& bar, std::ato
 }
 
 int run_plan(const PlanCommand& command) {
-  const PlanReport report = plan(scene_of(command.scene, command.options));
+  const SceneSpec scene = scene_of(command.scene, command.options);
+  std::optional<ProbeReport> probed;
+  if (command.probe_seconds > 0) probed = probe(scene, command.probe_seconds);
+  const PlanReport report = plan(scene, probed ? &*probed : nullptr);
   print(command.json ? report.json.dump(2) + "\n" : report.text);
   return 0;
 }

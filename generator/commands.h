@@ -14,6 +14,7 @@ struct PlanCommand {
   std::string scene;
   SceneOptions options;
   bool json = false;
+  double probe_seconds = 5;
 };
 int run_plan(const PlanCommand& command);
 
@@ -70,6 +71,7 @@ int run_rig_compare(const CompareCommand& command);
 struct ConvergeCommand {
   std::string scene, out, against;
   SceneOptions options;  // what is empty is chosen small: one frame, three cameras, two coats, 160 pixels wide
+  std::string target_errors;  // "0.1,0.05": measured instead of sample counts
   int max_samples = 1024, repetitions = 3, reference_samples = 0, threads = 0, at_samples = 64;
   double slope_at_most = -0.97;
   bool enforce = false;  // exit status 1 where a figure misses its bound

@@ -16,6 +16,7 @@ void add_scene_options(CLI::App* app, SceneOptions& o) {
   app->add_option("--modalities", o.modalities, "these instead of the scene's, or all")->type_name("rgb,depth");
   app->add_option("--resolution", o.resolution, "of the pictures")->type_name("WxH");
   app->add_option("--spp", o.samples, "samples per pixel")->type_name("N");
+  app->add_option("--target-error", o.target_error, "relative error of the pictures, instead of --spp: 0.02 is smooth to the eye")->type_name("E");
   app->add_flag("--surface-light", o.surface_light, "gather light on the animals once per frame: faster, with a small bias");
 }
 
@@ -31,6 +32,9 @@ int run(int argc, char** argv) {
                             "moomill plan scenes/nepumoo.toml", status, [&] { return run_plan(plan); });
   c->add_option("scene", plan.scene, "scene file")->required()->type_name("SCENE");
   c->add_flag("--json", plan.json, "for programs");
+  c->add_option("--probe", plan.probe_seconds, "seconds of work, after loading, that the time is measured by; default 5; 0: typical figures, nothing is loaded")
+      ->type_name("SECONDS")
+      ->check(CLI::Range(0.0, 3600.0));
   add_scene_options(c, plan.options);
 
   GenerateCommand generate;
@@ -120,6 +124,7 @@ int run(int argc, char** argv) {
   c->add_option("--max-spp", converge.max_samples, "measure 1, 2, 4, ... samples per pixel up to this; default 1024")->type_name("N")->check(CLI::Range(1, 65536));
   c->add_option("--repeats", converge.repetitions, "of every sample count, with independent samples; default 3")->type_name("N")->check(CLI::Range(1, 1000));
   c->add_option("--reference-spp", converge.reference_samples, "of the references; default 16 times --max-spp")->type_name("N")->check(CLI::Range(2, largest_samples));
+  c->add_option("--target-errors", converge.target_errors, "measure pictures of these target errors instead of sample counts")->type_name("0.1,0.05");
   c->add_flag("--surface-light", converge.options.surface_light, "measure pictures with gathered light, against references by paths: the errors hold its bias");
   c->add_option("--threads", converge.threads, "0: one per core")->type_name("N")->check(CLI::Range(0, 4096));
   c->add_option("--slope-at-most", converge.slope_at_most, "bound of the slope of MSE against samples; default -0.97")->type_name("X");

@@ -51,6 +51,13 @@ int run_converge(const ConvergeCommand& command, std::atomic<bool>& stop) {
   options.repetitions = command.repetitions;
   options.reference_samples = command.reference_samples;
   options.threads = command.threads;
+  if (!command.target_errors.empty())
+    for (const std::string& word : parse_words("--target-errors", command.target_errors)) {
+      char* end = nullptr;
+      const double e = std::strtod(word.c_str(), &end);
+      if (*end != 0 || !(e > 0) || e > 1) input_error("--target-errors: '{}' is no relative error; above 0 and at most 1, e.g. 0.1,0.05", word);
+      options.target_errors.push_back(e);
+    }
   options.stop = &stop;
   const std::vector<int> cameras = read_scene(command.scene).cameras.only;
   options.cameras_per_frame = static_cast<int>(cameras.empty() ? all_camera_ids(scene.cameras).size() : cameras.size());

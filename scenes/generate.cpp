@@ -3,6 +3,7 @@
 #include <tbb/global_control.h>
 #include <tbb/parallel_pipeline.h>
 
+#include <algorithm>
 #include <chrono>
 #include <mutex>
 
@@ -23,6 +24,33 @@ std::vector<int> shard_of(const std::vector<int>& frames, int shard, int shards)
 
 }  // namespace
 
+void require_poses(const SceneSpec& scene, const Mill& mill) {
+  for (int a = 0; a < mill.animals(); ++a) {
+    const AnimalSpec& spec = scene.animals[a];
+    std::vector<const PoseSource*> seen;  // one pose of a clip or a sampler stands for all; every pose of a file is its own
+    for (const int frame : scene.frames) {
+      int index = pose_count(spec, mill.species(a)) == 1 ? 0 : frame - scene.first_frame;
+      const PoseSource* source = nullptr;
+      for (const PoseSource& p : spec.poses) {
+        int count = 0;
+        if (const auto* file = std::get_if<PoseFile>(&p)) count = file->poses ? static_cast<int>(file->poses->size()) : 0;
+        if (const auto* clip = std::get_if<ClipFrames>(&p)) count = clip->count;
+        if (const auto* sampler = std::get_if<PoseSampler>(&p)) count = sampler->count;
+        if (index < count) {
+          source = &p;
+          break;
+        }
+        index -= count;
+      }
+      if (source && !std::holds_alternative<PoseFile>(*source)) {
+        if (std::find(seen.begin(), seen.end(), source) != seen.end()) continue;
+        seen.push_back(source);
+      }
+      pose_of_frame(scene, spec, mill.species(a), frame - scene.first_frame);
+    }
+  }
+}
+
 void generate(const SceneSpec& scene, const GenerateOptions& options) {
   if (options.shards < 1 || options.shard < 0 || options.shard >= options.shards)
     input_error("--shard {}/{}: the first number counts from 0 and is below the second", options.shard, options.shards);
@@ -41,6 +69,7 @@ void generate(const SceneSpec& scene, const GenerateOptions& options) {
   tell("loading", 0);
 
   const Mill mill(scene);
+  require_poses(scene, mill);  // before anything is written
   Manifest manifest = mill.manifest();
   manifest.held_frames = shard_of(manifest.frames, options.shard, options.shards);
   DatasetWriter writer(options.out, manifest, threads);

@@ -98,6 +98,12 @@ void apply_overrides(SceneSpec& scene, const Overrides& o) {
       input_error("--spp: the samples per pixel must be from 1 to {}, not {}", largest_samples, *o.samples);
     scene.render.samples = *o.samples;
   }
+  if (o.samples && !o.target_error) scene.render.target_error = 0;  // the samples asked for, not what an error needs
+  if (o.target_error) {
+    if (o.samples) input_error("--target-error and --spp: samples follow from the error; name one of the two");
+    if (!(*o.target_error > 0) || *o.target_error > 1) input_error("--target-error: {} is no relative error; above 0 and at most 1, e.g. 0.01", *o.target_error);
+    scene.render.target_error = *o.target_error;
+  }
   if (o.surface_light) scene.render.surface_light = *o.surface_light;
   check_surface_light(scene);
   scene.resolved = scene_to_json(scene);

@@ -168,7 +168,7 @@ std::string human_time(double seconds) {
 
 }  // namespace
 
-PlanReport plan(const SceneSpec& scene) {
+PlanReport plan(const SceneSpec& scene, const ProbeReport* probed) {
   check(!scene.animals.empty() && !scene.frames.empty(), "a scene without animals or frames");
   const std::filesystem::path folder = std::filesystem::path(scene.file).parent_path();
   const SpeciesSummary species = summarize_species(scene.animals[0].species, folder);
@@ -231,9 +231,30 @@ PlanReport plan(const SceneSpec& scene) {
                     (batches + share_per_further_coat * (static_cast<double>(n.coats) - batches));
   }
   const int cores = hardware_threads();
-  const double seconds = core_seconds / cores;
+  const double seconds = probed ? probed->seconds : core_seconds / cores;
   text += fmt::format("\n{} files, about {} on disk; about {} on the {} cores of this machine.\n", files,
                       human_bytes(bytes), human_time(seconds), cores);
+  if (probed) {
+    const ProbeReport& p = *probed;
+    text += fmt::format("Processor time {}: start {:.2g} s, coats {:.2g} s, each frame {:.2g} s, each of {} pictures {:.2g} s for labels", human_time(p.processor_seconds),
+                        p.start.processor, p.baking.processor, p.frame, n.pictures(), p.labels);
+    if (p.light > 0) text += fmt::format(", {:.2g} s for light and {:.2g} s for writing {} coats", p.light, p.encoding, n.coats);
+    text += fmt::format(".\nMeasured on {} pictures{} in {:.1f} s after loading.\n", p.views,
+                        p.light > 0 && p.samples < scene.render.samples ? fmt::format(" of {} samples", p.samples) : "", p.took);
+    json["processor_seconds"] = p.processor_seconds;
+    json["probe"] = {{"seconds", p.took},
+                     {"pictures", p.views},
+                     {"samples", p.samples},
+                     {"start", {{"processor", p.start.processor}, {"elapsed", p.start.elapsed}}},
+                     {"coats", {{"processor", p.baking.processor}, {"elapsed", p.baking.elapsed}}},
+                     {"frame", p.frame},
+                     {"labels_of_picture", p.labels},
+                     {"light_of_picture", p.light},
+                     {"encoding_of_picture", p.encoding}};
+  } else {
+    text += "By typical figures, nothing was loaded; a probe is closer.\n";
+    json["processor_seconds"] = core_seconds;
+  }
   json["files"] = files;
   json["bytes"] = std::llround(bytes);
   json["seconds"] = seconds;

@@ -411,6 +411,7 @@ View Mill::trace_coats(const Frame& frame, const CameraRecord& record, const Dre
   view.height = record.height;
   PathOptions options;
   options.samples = resampling.samples > 0 ? resampling.samples : spec_.render.samples;
+  if (resampling.samples <= 0) options.target_error = resampling.target_error > 0 ? resampling.target_error : spec_.render.target_error;
   options.max_bounces = spec_.render.max_bounces;
   options.filter_radius = spec_.render.filter_radius;
   if (!frame.geometry->sky.empty()) options.sky = &frame.geometry->sky;
@@ -426,6 +427,7 @@ View Mill::trace_coats(const Frame& frame, const CameraRecord& record, const Dre
     mask = footprint(dressed.scene, camera, options.filter_radius);
   }
   Radiance radiance = trace_radiance(dressed.scene, lights(frame, record), *frame.geometry->accel, camera, mask, options);
+  view.samples = static_cast<double>(radiance.paths) / static_cast<double>(std::max<std::uint64_t>(1, mask.count()));
   for (std::size_t t = 0; t < radiance.coats.size(); ++t) {
     Map map;
     map.modality = Modality::rgb;

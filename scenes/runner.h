@@ -46,7 +46,8 @@ struct Dressed {
 
 // For studies of the estimator: other samples of the same view.
 struct Resampling {
-  int samples = 0;               // per pixel; 0: the scene's
+  int samples = 0;               // per pixel; 0: the scene's, or those of target_error
+  double target_error = 0;       // 0: the scene's
   std::uint64_t repetition = 0;  // 0: those of the dataset; any other number: samples independent of every other repetition's
   bool paths_only = false;       // without the surface's light
 };

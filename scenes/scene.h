@@ -134,6 +134,7 @@ struct GroundSpec {
 
 struct RenderSpec {
   int samples = 64;  // per pixel
+  double target_error = 0;  // relative; where it is not 0, samples follow from it (PathOptions::target_error)
   int max_bounces = 0;         // 0: no cap, unbiased (Russian roulette ends paths)
   double filter_radius = 1.5;  // pixels
   // Light gathered on the animals once per frame and looked up by all its views: faster, with a small bias. Off: pure paths.
@@ -180,6 +181,7 @@ struct Overrides {
   std::optional<std::pair<int, int>> resolution;  // width, height
   std::optional<int> samples;
   std::optional<bool> surface_light;
+  std::optional<double> target_error;
 };
 void apply_overrides(SceneSpec& scene, const Overrides& overrides);  // InputError on what the scene does not have
 

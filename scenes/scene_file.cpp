@@ -489,6 +489,7 @@ class SceneReader {
     r.samples = static_cast<int>(t->integer("samples", r.samples, 1, largest_samples));
     r.max_bounces = static_cast<int>(t->integer("max_bounces", r.max_bounces, 0, 1000));
     r.filter_radius = t->number("filter_radius", r.filter_radius, 0.5, 8);
+    r.target_error = t->number("target_error", r.target_error, 0, 1);
     r.surface_light = t->boolean("surface_light", r.surface_light);
     r.memory_mb = t->number("memory_mb", r.memory_mb, 64, 1e7);
     r.coat_resolution = static_cast<int>(t->integer("coat_resolution", r.coat_resolution, 16, 16384));

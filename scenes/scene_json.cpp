@@ -184,6 +184,7 @@ Json scene_to_json(const SceneSpec& scene) {
     out["ground"]["size"] = scene.ground.size;
   }
   out["render"] = {{"samples", scene.render.samples},
+                   {"target_error", scene.render.target_error},
                    {"max_bounces", scene.render.max_bounces},
                    {"filter_radius", scene.render.filter_radius},
                    {"surface_light", scene.render.surface_light},

@@ -101,6 +101,7 @@ struct OcclusionView {
 
 // All that was computed of one view.
 struct View {
+  double samples = 0;  // a pixel that may see anything, of the pictures; not written
   int frame = 0, camera = 0;  // as numbered in the dataset
   int width = 0, height = 0;
   vec3 background{0};         // linear colour that 8-bit colour files show where alpha is below 1

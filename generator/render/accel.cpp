@@ -4,6 +4,7 @@
 #include <tbb/task_arena.h>
 
 #include <atomic>
+#include <cstddef>
 #include <cstring>
 
 #include "generator/core/error.h"
@@ -167,38 +168,33 @@ bool Accel::occluded(const Ray& ray, std::uint32_t mask) const {
   return r.tfar < 0;
 }
 
+// Ray8 is RTCRayHit8 with `active` behind it.
+static_assert(offsetof(Ray8, near) == offsetof(RTCRayHit8, ray.tnear) && offsetof(Ray8, time) == offsetof(RTCRayHit8, ray.time) &&
+              offsetof(Ray8, far) == offsetof(RTCRayHit8, ray.tfar) && offsetof(Ray8, mask) == offsetof(RTCRayHit8, ray.mask) &&
+              offsetof(Ray8, id) == offsetof(RTCRayHit8, ray.id) && offsetof(Ray8, flags) == offsetof(RTCRayHit8, ray.flags) &&
+              offsetof(Ray8, normal_x) == offsetof(RTCRayHit8, hit.Ng_x) && offsetof(Ray8, u) == offsetof(RTCRayHit8, hit.u) &&
+              offsetof(Ray8, triangle) == offsetof(RTCRayHit8, hit.primID) &&
+              offsetof(Ray8, instance) == offsetof(RTCRayHit8, hit.geomID) &&
+              offsetof(Ray8, parent) == offsetof(RTCRayHit8, hit.instID) && offsetof(Ray8, active) == sizeof(RTCRayHit8) &&
+              alignof(Ray8) == alignof(RTCRayHit8) && no_hit == RTC_INVALID_GEOMETRY_ID);
+
 void Accel::intersect8(Ray8& rays, bool coherent, std::uint32_t mask) const {
   RTCIntersectContext context;
   rtcInitIntersectContext(&context);
   context.flags = coherent ? RTC_INTERSECT_CONTEXT_FLAG_COHERENT : RTC_INTERSECT_CONTEXT_FLAG_INCOHERENT;
-  alignas(32) RTCRayHit8 r;
-  alignas(32) int valid[8];
-  for (int i = 0; i < 8; ++i) {
-    valid[i] = rays.active[i] ? -1 : 0;
-    r.ray.org_x[i] = rays.ox[i];
-    r.ray.org_y[i] = rays.oy[i];
-    r.ray.org_z[i] = rays.oz[i];
-    r.ray.dir_x[i] = rays.dx[i];
-    r.ray.dir_y[i] = rays.dy[i];
-    r.ray.dir_z[i] = rays.dz[i];
-    r.ray.tnear[i] = rays.near[i];
-    r.ray.tfar[i] = rays.far[i];
-    r.ray.time[i] = 0;
-    r.ray.mask[i] = mask;
-    r.ray.id[i] = 0;
-    r.ray.flags[i] = 0;
-    r.hit.geomID[i] = RTC_INVALID_GEOMETRY_ID;
-    r.hit.instID[0][i] = RTC_INVALID_GEOMETRY_ID;
-  }
-  rtcIntersect8(valid, state_->embree, &context, &r);
-  for (int i = 0; i < 8; ++i) {
-    const bool hit = valid[i] && r.hit.geomID[i] != RTC_INVALID_GEOMETRY_ID;
-    rays.instance[i] = hit ? r.hit.geomID[i] : no_hit;
-    rays.triangle[i] = hit ? r.hit.primID[i] : no_hit;
-    rays.u[i] = r.hit.u[i];
-    rays.v[i] = r.hit.v[i];
-    rays.far[i] = r.ray.tfar[i];
-  }
+  alignas(32) std::array<int, 8> valid;
+  for (int i = 0; i < 8; ++i) valid[i] = rays.active[i] ? -1 : 0;
+  rays.time.fill(0);
+  rays.mask.fill(mask);
+  rays.id.fill(0);
+  rays.flags.fill(0);
+  // What Embree leaves alone where a ray is off or meets nothing.
+  rays.u.fill(0);
+  rays.v.fill(0);
+  rays.triangle.fill(no_hit);
+  rays.instance.fill(no_hit);
+  rays.parent.fill(no_hit);
+  rtcIntersect8(valid.data(), state_->embree, &context, reinterpret_cast<RTCRayHit8*>(&rays));
 }
 
 void Accel::occluded8(Ray8& rays, bool coherent, std::uint32_t mask) const {

@@ -29,12 +29,14 @@ struct SurfaceHit {
   bool valid() const { return instance != no_hit; }
 };
 
-// Eight rays side by side. active: 1 or 0. Filled in: t, u, v, instance, triangle.
+// Eight rays side by side, laid out as Embree wants them, so that nothing is copied. Set origins, directions, near, far and
+// active (1 or 0); filled in: far (the distance), u, v, instance, triangle. The rest is between accel.cpp and Embree.
 struct alignas(32) Ray8 {
-  std::array<float, 8> ox, oy, oz, dx, dy, dz, near, far;
+  std::array<float, 8> ox, oy, oz, near, dx, dy, dz, time, far;
+  std::array<std::uint32_t, 8> mask, id, flags;
+  std::array<float, 8> normal_x, normal_y, normal_z, u, v;
+  std::array<std::uint32_t, 8> triangle, instance, parent;
   std::array<std::int32_t, 8> active;
-  std::array<float, 8> u, v;
-  std::array<std::uint32_t, 8> instance, triangle;
   void set(int i, const Ray& r, bool on) {
     ox[i] = r.origin.x, oy[i] = r.origin.y, oz[i] = r.origin.z;
     dx[i] = r.direction.x, dy[i] = r.direction.y, dz[i] = r.direction.z;

@@ -1,6 +1,9 @@
 #include "generator/render/first_hit.h"
 
+#include <immintrin.h>
+
 #include <atomic>
+#include <bit>
 
 #include "generator/core/error.h"
 #include "generator/core/parallel.h"
@@ -8,7 +11,7 @@
 namespace moomill {
 namespace {
 
-constexpr int tile = 32;             // pixels, side of a unit of parallel work
+constexpr int tile = 32;             // pixels, side of a unit of parallel work; half a word of the mask
 constexpr double edge_slack = 1e-12; // barycentrics; double rounding alone
 
 // Planes of constant camera z that enclose everything. Rays start at the near one, so that their float origins and
@@ -94,28 +97,82 @@ PreciseHit resolve(const Scene& scene, const Accel& accel, const dvec3& origin, 
   return best;
 }
 
+// Four lanes: pixels of one row, or vertices in a row.
+using Double4 = double __attribute__((vector_size(32)));
+using Mask4 = std::int64_t __attribute__((vector_size(32)));
+struct Vec4 {
+  Double4 x, y, z;
+};
+Vec4 operator-(const Vec4& a, const Vec4& b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
+// In the order of glm's, so that one lane and a scalar round alike.
+Double4 dot(const Vec4& a, const Vec4& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+Double4 dot(const dvec3& a, const Vec4& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+Vec4 cross(const Vec4& a, const Vec4& b) {
+  return {a.y * b.z - b.y * a.z, a.z * b.x - b.z * a.x, a.x * b.y - b.x * a.y};
+}
+Vec4 operator-(const dvec3& a, const Vec4& b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
+Vec4 operator-(const Vec4& a, const dvec3& b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
+int lanes_of(Mask4 m) { return _mm256_movemask_pd(reinterpret_cast<__m256d>(m)); }
+Double4 floor(Double4 v) { return reinterpret_cast<Double4>(_mm256_floor_pd(reinterpret_cast<__m256d>(v))); }
+Double4 widen(__m128 v) { return reinterpret_cast<Double4>(_mm256_cvtps_pd(v)); }
+__m128 narrow(Double4 v) { return _mm256_cvtpd_ps(reinterpret_cast<__m256d>(v)); }
+
+// Four points from where they lie; reads no byte beyond them.
+Vec4 gather(const vec3* const p[4]) {
+  const __m128i three = _mm_setr_epi32(-1, -1, -1, 0);
+  const auto load = [&](const vec3* q) { return _mm_maskload_ps(&q->x, three); };
+  const __m128 a = load(p[0]), b = load(p[1]), c = load(p[2]), d = load(p[3]);
+  const __m128 ab = _mm_unpacklo_ps(a, b), cd = _mm_unpacklo_ps(c, d);
+  const __m128 z_ab = _mm_unpackhi_ps(a, b), z_cd = _mm_unpackhi_ps(c, d);
+  return {widen(_mm_movelh_ps(ab, cd)), widen(_mm_movehl_ps(cd, ab)), widen(_mm_movelh_ps(z_ab, z_cd))};
+}
+
 // Pixels of the mask whose centre lies so near a projected vertex that Embree's ray, rounded to float, may pass through it.
 // Its test is watertight across edges, but at a vertex the tests of all faces round on their own, and one ray in a hundred
 // that is aimed at it slips between them.
 std::vector<glm::ivec2> pixels_at_vertices(const Scene& scene, const Camera& camera, const PixelMask& mask, std::uint32_t ray_mask) {
-  std::vector<glm::ivec2> pixels;
+  constexpr std::size_t chunk = 4096;  // vertices, a multiple of 4
   const double radius = 1e-3 + 0x1p-22 * std::max(camera.fx, camera.fy);  // four roundings of a direction, in pixels
   const dmat3 turn = glm::transpose(camera.world_to_camera);               // its columns are the rows of the rotation
   const dvec3 to_x = camera.fx * turn[0] + camera.cx * turn[2], to_y = camera.fy * turn[1] + camera.cy * turn[2];
   const dvec3 eye = camera.centre - scene.origin;
+  std::vector<glm::ivec2> all;
   for (const Instance& in : scene.instances) {
     if (!(animal_mask(in.animal) & ray_mask)) continue;
-    for (const vec3& position : in.posed.positions) {
-      const dvec3 p = dvec3(position) - eye;
-      const double z = glm::dot(turn[2], p);
-      if (!(z > 0)) continue;
-      const double x = glm::dot(to_x, p) / z, y = glm::dot(to_y, p) / z;
-      if (!(x >= 0 && y >= 0 && x < camera.width && y < camera.height)) continue;
-      const int i = static_cast<int>(x), j = static_cast<int>(y);
-      if (std::abs(x - i - 0.5) < radius && std::abs(y - j - 0.5) < radius && mask.get(i, j)) pixels.push_back({i, j});
-    }
+    const auto& positions = in.posed.positions;
+    std::vector<std::vector<glm::ivec2>> found((positions.size() + chunk - 1) / chunk);
+    parallel_for(found.size(), 1, [&](std::size_t c) {
+      const std::size_t end = std::min(positions.size(), (c + 1) * chunk);
+      for (std::size_t i = c * chunk; i < end; i += 4) {
+        const vec3* p[4];
+        for (std::size_t k = 0; k < 4; ++k) p[k] = &positions[std::min(i + k, end - 1)];
+        const Vec4 from_eye = gather(p) - eye;
+        const Double4 z = dot(turn[2], from_eye);
+        const Double4 x = dot(to_x, from_eye) / z, y = dot(to_y, from_eye) / z;
+        const Mask4 inside = (z > 0.0) & (x >= 0.0) & (y >= 0.0) & (x < double(camera.width)) & (y < double(camera.height));
+        const Double4 dx = x - floor(x) - 0.5, dy = y - floor(y) - 0.5;
+        const int near = lanes_of(inside & (dx > -radius) & (dx < radius) & (dy > -radius) & (dy < radius));
+        for (int k = 0; k < 4 && near; ++k) {
+          if (!(near >> k & 1) || i + k >= end) continue;
+          const glm::ivec2 pixel(static_cast<int>(x[k]), static_cast<int>(y[k]));
+          if (mask.get(pixel.x, pixel.y)) found[c].push_back(pixel);
+        }
+      }
+    });
+    for (const auto& some : found) all.insert(all.end(), some.begin(), some.end());
   }
-  return pixels;
+  return all;
+}
+
+// The same as intersect_triangle() for four rays of one origin, each against the triangle of its own.
+struct Hit4 {
+  Double4 t, u, v;
+};
+Hit4 intersect_triangles(const dvec3& origin, const Vec4& direction, const Vec4& p0, const Vec4& p1, const Vec4& p2) {
+  const Vec4 e1 = p1 - p0, e2 = p2 - p0, q = cross(direction, e2);
+  const Double4 det = dot(e1, q);
+  const Vec4 s = origin - p0, r = cross(s, e1);
+  return {dot(e2, r) / det, dot(s, q) / det, dot(direction, r) / det};
 }
 
 }  // namespace
@@ -135,23 +192,34 @@ bool intersect_triangle(const dvec3& origin, const dvec3& direction, const vec3&
 
 FirstHits::FirstHits(int w, int h) : width(w), height(h) {
   const std::size_t n = static_cast<std::size_t>(w) * h;
-  instance.assign(n, no_hit);
-  triangle.assign(n, no_hit);
-  u.assign(n, 0);
-  v.assign(n, 0);
-  depth.assign(n, 0);
+  instance.resize(n);
+  triangle.resize(n);
+  u.resize(n);
+  v.resize(n);
+  depth.resize(n);
 }
 
 FirstHits trace_first_hits(const Scene& scene, const Accel& accel, const Camera& camera, const PixelMask& mask,
                            std::uint32_t ray_mask) {
   FirstHits hits(camera.width, camera.height);
   const DepthRange range = depth_range(scene, accel, camera);
-  if (!(range.far > range.near)) return hits;
+  if (!(range.far > range.near)) {
+    std::fill(hits.instance.begin(), hits.instance.end(), no_hit);
+    std::fill(hits.triangle.begin(), hits.triangle.end(), no_hit);
+    for (PixelVector<float>* map : {&hits.u, &hits.v, &hits.depth}) std::fill(map->begin(), map->end(), 0.0f);
+    return hits;
+  }
   const dvec3 origin = camera.centre - scene.origin;
   const dvec3 step_x = camera.direction(1, 0) - camera.direction(0, 0);
   const dvec3 step_y = camera.direction(0, 1) - camera.direction(0, 0);
   const dvec3 corner = camera.direction(0.5, 0.5);
   const float far = static_cast<float>(range.far - range.near);
+  struct Mesh {
+    const uvec3* triangles;
+    const vec3* positions;
+  };
+  std::vector<Mesh> meshes;
+  for (const Instance& in : scene.instances) meshes.push_back({in.surface->triangles.data(), in.posed.positions.data()});
   std::atomic<std::uint64_t> rays_traced{0}, rays_resolved{0};
   const int tiles_x = (camera.width + tile - 1) / tile, tiles_y = (camera.height + tile - 1) / tile;
 
@@ -159,82 +227,113 @@ FirstHits trace_first_hits(const Scene& scene, const Accel& accel, const Camera&
     const int x_begin = static_cast<int>(index % tiles_x) * tile, y_begin = static_cast<int>(index / tiles_x) * tile;
     const int x_end = std::min(x_begin + tile, camera.width), y_end = std::min(y_begin + tile, camera.height);
     std::uint64_t traced = 0, resolved = 0;
-    for (int by = y_begin; by < y_end; by += 2)
-      for (int bx = x_begin; bx < x_end; bx += 4) {
-        Ray8 rays;
-        alignas(32) double dx[8], dy[8], dz[8];
-        int any = 0;
-        for (int i = 0; i < 8; ++i) {
-          const int x = bx + (i & 3), y = by + (i >> 2);
-          const int on = x < x_end && y < y_end && mask.get(x, y);
-          rays.active[i] = on;
-          any += on;
-          dx[i] = corner.x + x * step_x.x + y * step_y.x;
-          dy[i] = corner.y + x * step_x.y + y * step_y.y;
-          dz[i] = corner.z + x * step_x.z + y * step_y.z;
+    const auto write = [&](std::size_t pixel, const PreciseHit& h) {
+      hits.instance[pixel] = h.instance;
+      hits.triangle[pixel] = h.triangle;
+      hits.u[pixel] = static_cast<float>(h.u);
+      hits.v[pixel] = static_cast<float>(h.v);
+      hits.depth[pixel] = static_cast<float>(h.t);
+    };
+    // Blocks of 4 x 2 pixels, a row of a tile at a time: all are traced, then their vertices looked up, then refined, so that what one
+    // step fetches from memory is there for the next.
+    struct Block {
+      int x;
+      Vec4 direction[2];
+      alignas(32) std::array<std::uint32_t, 8> instance, triangle;
+      const vec3* p[3][8];
+    };
+    std::array<Block, tile / 4> blocks;
+    for (int by = y_begin; by < y_end; by += 2) {
+      const int rows = std::min(2, y_end - by);
+      std::uint32_t wanted[2] = {0, 0};  // a row of a tile is half a word of the mask
+      for (int r = 0; r < rows; ++r) {
+        wanted[r] = static_cast<std::uint32_t>(mask.bits[static_cast<std::size_t>(by + r) * mask.words + x_begin / 64] >> (x_begin % 64));
+        const std::size_t first = hits.index(x_begin, by + r);
+        if (x_end - x_begin == tile) {
+          std::fill_n(hits.instance.data() + first, tile, no_hit);
+          std::fill_n(hits.depth.data() + first, tile, 0.0f);
+        } else {
+          std::fill_n(hits.instance.data() + first, x_end - x_begin, no_hit);
+          std::fill_n(hits.triangle.data() + first, x_end - x_begin, no_hit);
+          for (PixelVector<float>* map : {&hits.u, &hits.v, &hits.depth}) std::fill_n(map->data() + first, x_end - x_begin, 0.0f);
         }
-        if (!any) continue;
-        traced += any;
-        for (int i = 0; i < 8; ++i) {
-          rays.ox[i] = static_cast<float>(origin.x + range.near * dx[i]);
-          rays.oy[i] = static_cast<float>(origin.y + range.near * dy[i]);
-          rays.oz[i] = static_cast<float>(origin.z + range.near * dz[i]);
-          rays.dx[i] = static_cast<float>(dx[i]);
-          rays.dy[i] = static_cast<float>(dy[i]);
-          rays.dz[i] = static_cast<float>(dz[i]);
-          rays.near[i] = 0;
-          rays.far[i] = far;
-        }
-        accel.intersect8(rays, true, ray_mask);
+      }
+      int count = 0;
+      while (wanted[0] | wanted[1]) {
+        const int column = std::countr_zero(wanted[0] | wanted[1]) & ~3;
+        const std::uint32_t on = (wanted[0] >> column & 15) | (wanted[1] >> column & 15) << 4;
+        for (std::uint32_t& w : wanted) w &= ~(15u << column);
+        traced += std::popcount(on);
 
-        // The same as intersect_triangle(), eight lanes side by side so that the compiler can vectorise it.
-        alignas(32) double p[9][8];
-        int met = 0;
+        Block& b = blocks[count++];
+        b.x = x_begin + column;
+        Ray8 rays;
+        const Double4 x = static_cast<double>(b.x) + Double4{0, 1, 2, 3};
+        for (int r = 0; r < 2; ++r) {
+          const double y = by + r;
+          const Vec4 d{corner.x + x * step_x.x + y * step_y.x, corner.y + x * step_x.y + y * step_y.y, corner.z + x * step_x.z + y * step_y.z};
+          _mm_store_ps(&rays.ox[4 * r], narrow(origin.x + range.near * d.x));
+          _mm_store_ps(&rays.oy[4 * r], narrow(origin.y + range.near * d.y));
+          _mm_store_ps(&rays.oz[4 * r], narrow(origin.z + range.near * d.z));
+          _mm_store_ps(&rays.dx[4 * r], narrow(d.x));
+          _mm_store_ps(&rays.dy[4 * r], narrow(d.y));
+          _mm_store_ps(&rays.dz[4 * r], narrow(d.z));
+          b.direction[r] = d;
+        }
+        rays.near.fill(0);
+        rays.far.fill(far);
+        for (int i = 0; i < 8; ++i) rays.active[i] = static_cast<std::int32_t>(on >> i & 1);
+        accel.intersect8(rays, true, ray_mask);
+        b.instance = rays.instance;
+        b.triangle = rays.triangle;
+        for (int i = 0; i < 8; ++i)
+          if (b.instance[i] != no_hit) _mm_prefetch(reinterpret_cast<const char*>(meshes[b.instance[i]].triangles + b.triangle[i]), _MM_HINT_T0);
+      }
+      for (int k = 0; k < count; ++k) {
+        Block& b = blocks[k];
         for (int i = 0; i < 8; ++i) {
-          const bool hit = rays.instance[i] != no_hit;
-          met += hit;
-          const TriangleRef c = hit ? corners(scene, rays.instance[i], rays.triangle[i]) : TriangleRef{};
-          for (int k = 0; k < 3; ++k) {
-            p[k][i] = hit ? (*c.p0)[k] : 0.0;
-            p[3 + k][i] = hit ? (*c.p1)[k] : k == 0;
-            p[6 + k][i] = hit ? (*c.p2)[k] : k == 1;
+          static const vec3 anything[3] = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}};
+          if (b.instance[i] == no_hit) {
+            for (int c = 0; c < 3; ++c) b.p[c][i] = anything + c;
+            continue;
           }
-        }
-        if (!met) continue;
-        alignas(32) double t[8], u[8], v[8];
-        for (int i = 0; i < 8; ++i) {
-          const double e1x = p[3][i] - p[0][i], e1y = p[4][i] - p[1][i], e1z = p[5][i] - p[2][i];
-          const double e2x = p[6][i] - p[0][i], e2y = p[7][i] - p[1][i], e2z = p[8][i] - p[2][i];
-          const double qx = dy[i] * e2z - e2y * dz[i], qy = dz[i] * e2x - e2z * dx[i], qz = dx[i] * e2y - e2x * dy[i];
-          const double det = e1x * qx + e1y * qy + e1z * qz;
-          const double sx = origin.x - p[0][i], sy = origin.y - p[1][i], sz = origin.z - p[2][i];
-          const double rx = sy * e1z - e1y * sz, ry = sz * e1x - e1z * sx, rz = sx * e1y - e1x * sy;
-          u[i] = (sx * qx + sy * qy + sz * qz) / det;
-          v[i] = (dx[i] * rx + dy[i] * ry + dz[i] * rz) / det;
-          t[i] = (e2x * rx + e2y * ry + e2z * rz) / det;
-        }
-        for (int i = 0; i < 8; ++i) {
-          if (rays.instance[i] == no_hit) continue;
-          const std::size_t pixel = hits.index(bx + (i & 3), by + (i >> 2));
-          const bool inside = u[i] >= -edge_slack && v[i] >= -edge_slack && u[i] + v[i] <= 1 + edge_slack && t[i] > 0;
-          if (inside) {
-            hits.instance[pixel] = rays.instance[i];
-            hits.triangle[pixel] = rays.triangle[i];
-            hits.u[pixel] = static_cast<float>(u[i]);
-            hits.v[pixel] = static_cast<float>(v[i]);
-            hits.depth[pixel] = static_cast<float>(t[i]);
-          } else {  // also where the triangle is seen edge-on and u is NaN
-            ++resolved;
-            const PreciseHit h = resolve(scene, accel, origin, {dx[i], dy[i], dz[i]}, step_x, step_y, range, ray_mask,
-                                         rays.instance[i], rays.triangle[i]);
-            hits.instance[pixel] = h.instance;
-            hits.triangle[pixel] = h.triangle;
-            hits.u[pixel] = static_cast<float>(h.u);
-            hits.v[pixel] = static_cast<float>(h.v);
-            hits.depth[pixel] = static_cast<float>(h.t);
+          const Mesh& mesh = meshes[b.instance[i]];
+          const uvec3 t = mesh.triangles[b.triangle[i]];
+          for (int c = 0; c < 3; ++c) {
+            b.p[c][i] = mesh.positions + t[c];
+            _mm_prefetch(reinterpret_cast<const char*>(b.p[c][i]), _MM_HINT_T0);
           }
         }
       }
+      for (int k = 0; k < count; ++k)
+        for (int r = 0; r < rows; ++r) {
+          const Block& b = blocks[k];
+          const __m128i instance = _mm_load_si128(reinterpret_cast<const __m128i*>(&b.instance[4 * r]));
+          const __m128i triangle = _mm_load_si128(reinterpret_cast<const __m128i*>(&b.triangle[4 * r]));
+          const __m128 missed = _mm_castsi128_ps(_mm_cmpeq_epi32(instance, _mm_set1_epi32(-1)));
+          const int met = ~_mm_movemask_ps(missed) & 15;
+          const Hit4 h = intersect_triangles(origin, b.direction[r], gather(&b.p[0][4 * r]), gather(&b.p[1][4 * r]), gather(&b.p[2][4 * r]));
+          const int inside = lanes_of((h.u >= -edge_slack) & (h.v >= -edge_slack) & (h.u + h.v <= 1 + edge_slack) & (h.t > 0.0));
+          const std::size_t pixel = hits.index(b.x, by + r);
+          if (b.x + 4 <= x_end) {
+            const auto store = [&](PixelVector<float>& map, Double4 value) { _mm_storeu_ps(map.data() + pixel, _mm_andnot_ps(missed, narrow(value))); };
+            _mm_storeu_si128(reinterpret_cast<__m128i*>(hits.instance.data() + pixel), instance);
+            _mm_storeu_si128(reinterpret_cast<__m128i*>(hits.triangle.data() + pixel), triangle);
+            store(hits.u, h.u);
+            store(hits.v, h.v);
+            store(hits.depth, h.t);
+          } else {
+            for (int i = 0; i < 4; ++i)
+              if (met >> i & 1) write(pixel + i, {b.instance[4 * r + i], b.triangle[4 * r + i], h.u[i], h.v[i], h.t[i]});
+          }
+          for (int i = 0; i < 4; ++i) {  // also where the triangle is seen edge-on and u is NaN
+            if (!(met & ~inside & 1 << i)) continue;
+            ++resolved;
+            const dvec3 d(b.direction[r].x[i], b.direction[r].y[i], b.direction[r].z[i]);
+            write(pixel + i, resolve(scene, accel, origin, d, step_x, step_y, range, ray_mask, b.instance[4 * r + i], b.triangle[4 * r + i]));
+          }
+        }
+    }
     rays_traced += traced;
     rays_resolved += resolved;
   });

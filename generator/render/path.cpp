@@ -17,12 +17,13 @@ constexpr int tile = 16;  // pixels
 // the same places: so the weights of the samples that reach a pixel add up alike everywhere, and dividing by their sum, which
 // keeps even areas even at any number of samples, is a constant factor that tends to 1.
 struct SamplePlaces {
+  std::uint64_t stream;
   int reach;                   // pixels each way
   std::vector<vec2> position;  // per sample: within the pixel, [0, 1)^2; around its centre where reach is 0
   std::vector<float> weight;   // per sample: of columns -reach .. reach, then of rows
 
-  SamplePlaces(const PixelFilter& filter, std::uint64_t stream, int samples) : reach(filter.reach()), position(samples) {
-    const PixelSampler sampler(stream, ~0ull);
+  SamplePlaces(const PixelFilter& filter, std::uint64_t image_stream, int samples) : stream(image_stream), reach(filter.reach()), position(samples) {
+    const PixelSampler sampler(image_stream, ~0ull);
     const int side = 2 * reach + 1;
     weight.assign(2 * side * static_cast<std::size_t>(samples), 1.0f);
     double total = 0;
@@ -42,6 +43,7 @@ struct SamplePlaces {
     if (reach > 0)
       for (float& w : weight) w /= static_cast<float>(std::sqrt(total));
   }
+  int samples() const { return static_cast<int>(position.size()); }
   const float* of(int sample) const { return &weight[2 * static_cast<std::size_t>(sample) * (2 * reach + 1)]; }
 };
 
@@ -80,19 +82,20 @@ template <int P>
 void trace_pixel(const Tracer& t, const Camera& camera, const SamplePlaces& places, int x, int y, PixelSums<P>* centre, int stride,
                  Counters& counters) {
   const PathOptions& options = t.options;
-  const PixelSampler sampler = PixelSampler::in_image(options.stream, x + places.reach, y + places.reach, options.samples);
+  const int samples = places.samples();
+  const PixelSampler sampler = PixelSampler::in_image(places.stream, x + places.reach, y + places.reach, samples);
   const vec3 origin(camera.centre - t.scene.origin);
   thread_local Batch batch;
   const auto& textures = t.scene.appearance->textures;
   const int coats = t.scene.appearance->coat_count;
   Lanes<P> radiance[batch_size];
   for (auto& r : radiance) r.fill(0.0f);  // of samples that see nothing: any finite values, their weight is 0
-  for (int first = 0; first < options.samples; first += batch_size) {
-    const int n = std::min(batch_size, options.samples - first);
+  for (int first = 0; first < samples; first += batch_size) {
+    const int n = std::min(batch_size, samples - first);
     Ray8 rays;
     vec3 direction[batch_size];
     for (int i = 0; i < batch_size; ++i) {
-      const vec2 at = places.position[std::min(first + i, options.samples - 1)];
+      const vec2 at = places.position[std::min(first + i, samples - 1)];
       direction[i] = vec3(glm::normalize(camera.direction(static_cast<double>(x) + at.x, static_cast<double>(y) + at.y)));
       rays.set(i, {origin, 0, direction[i], std::numeric_limits<float>::infinity()}, i < n);
     }
@@ -146,21 +149,31 @@ PixelMask within_reach(const PixelMask& mask, int reach) {
   return out;
 }
 
+// Tiles of an image and the rim that its filter reaches, row by row; a tile's number of samples, as the index of its places.
+struct Tiles {
+  int reach, across, down;
+  std::vector<SamplePlaces> places;
+  std::vector<std::uint8_t> place;
+  Tiles(const Camera& camera, const PixelFilter& filter)
+      : reach(filter.reach()), across((camera.width + 2 * reach + tile - 1) / tile), down((camera.height + 2 * reach + tile - 1) / tile),
+        place(static_cast<std::size_t>(across) * down, 0) {}
+};
+
 template <int P>
-void trace_tiles(const Tracer& t, const Camera& camera, const PixelMask& mask, Radiance& out) {
-  const SamplePlaces places(PixelFilter(t.options.filter_radius), t.options.stream, t.options.samples);
-  const int reach = places.reach, width = camera.width + 2 * reach, height = camera.height + 2 * reach;
+void trace_tiles(const Tracer& t, const Camera& camera, const PixelMask& mask, const Tiles& tiles, Radiance& out) {
+  const int reach = tiles.reach, width = camera.width + 2 * reach, height = camera.height + 2 * reach;
   const PixelMask traced = within_reach(mask, reach);
-  const int tiles_x = (width + tile - 1) / tile, tiles_y = (height + tile - 1) / tile;
-  const float scale = 1.0f / t.options.samples;
   std::atomic<std::uint64_t> paths{0}, rays{0}, not_finite{0};
   check(2 * reach <= tile, "a pixel filter reaches at most 8 pixels");
   // A tile adds to pixels up to `reach` around it. Every other tile in both directions at a time: they share no pixel, and the order in
   // which a pixel's parts are added does not depend on threads.
   for (int phase = 0; phase < 4; ++phase) {
-    const int across = (tiles_x + 1 - (phase & 1)) / 2, down = (tiles_y + 1 - (phase >> 1)) / 2;
+    const int across = (tiles.across + 1 - (phase & 1)) / 2, down = (tiles.down + 1 - (phase >> 1)) / 2;
     parallel_for(static_cast<std::size_t>(across) * down, 1, [&](std::size_t index) {
-      const int x0 = (2 * static_cast<int>(index % across) + (phase & 1)) * tile, y0 = (2 * static_cast<int>(index / across) + (phase >> 1)) * tile;
+      const int tile_x = 2 * static_cast<int>(index % across) + (phase & 1), tile_y = 2 * static_cast<int>(index / across) + (phase >> 1);
+      const int x0 = tile_x * tile, y0 = tile_y * tile;
+      const SamplePlaces& places = tiles.places[tiles.place[static_cast<std::size_t>(tile_y) * tiles.across + tile_x]];
+      const float scale = 1.0f / places.samples();
       const int stride = tile + 2 * reach;
       std::vector<PixelSums<P>> sums;
       Counters counters;
@@ -188,9 +201,9 @@ void trace_tiles(const Tracer& t, const Camera& camera, const PixelMask& mask, R
       not_finite += counters.not_finite;
     });
   }
-  out.paths = paths;
-  out.rays = rays;
-  out.not_finite = not_finite;
+  out.paths += paths;
+  out.rays += rays;
+  out.not_finite += not_finite;
 }
 
 double blackman_harris(double x) {  // over [0, 1]; Harris 1978, four terms
@@ -221,6 +234,86 @@ float PixelFilter::weight(float distance) const {
   return static_cast<float>(blackman_harris(0.5 + 0.5 * distance / radius_) / (2 * radius_ * 0.35875));
 }
 
+namespace {
+
+constexpr int pilot_samples = 4, least_samples = 4, most_samples = 4096;  // the pilot's of each of two halves
+
+// The scene in a white and a black coat.
+Scene pilot_scene(const Scene& scene) {
+  Scene out = scene;
+  auto appearance = std::make_shared<Appearance>(*scene.appearance);
+  const auto paint = std::make_shared<Paint>();
+  paint->coats = {{vec3(1.0f), -1, false}, {vec3(0.03f), -1, false}};
+  for (auto& p : appearance->paints) p = paint;
+  appearance->coat_count = 2;
+  out.appearance = appearance;
+  return out;
+}
+
+// Samples of every tile for the picture's target error, from the difference of two pictures of few samples each.
+void choose_samples(const Tracer& t, const Camera& camera, const PixelMask& mask, const PixelFilter& filter, Tiles& tiles, Radiance& told) {
+  const Scene scene = pilot_scene(t.scene);
+  const Tracer tracer{scene, t.lights, t.accel, t.options};
+  Radiance half[2];
+  for (int h = 0; h < 2; ++h) {
+    half[h].coats.assign(2, ImageF(camera.width, camera.height, 4));
+    tiles.places = {SamplePlaces(filter, mix64(t.options.stream + 0x70696c6f74 + h), pilot_samples)};
+    trace_tiles<4>(tracer, camera, mask, tiles, half[h]);
+    told.paths += half[h].paths;
+    told.rays += half[h].rays;
+    told.not_finite += half[h].not_finite;
+  }
+  // A quarter of the halves' squared difference is the squared error of their mean. A tile alone has few pixels: those of the
+  // tiles around it count a quarter.
+  struct Sum {
+    double error[2] = {0, 0}, pixels = 0;
+  };
+  std::vector<Sum> sums(tiles.place.size());
+  for (int y = 0; y < camera.height; ++y)
+    for (int x = 0; x < camera.width; ++x) {
+      if (!mask.get(x, y) || half[0].coats[0].at(x, y, 3) + half[1].coats[0].at(x, y, 3) < 1) continue;  // mostly background
+      Sum& s = sums[static_cast<std::size_t>((y + tiles.reach) / tile) * tiles.across + (x + tiles.reach) / tile];
+      s.pixels += 1;
+      for (int coat = 0; coat < 2; ++coat)
+        for (int c = 0; c < 3; ++c) {
+          const double a = half[0].coats[coat].at(x, y, c), b = half[1].coats[coat].at(x, y, c), m = 0.5 * (a + b);
+          s.error[coat] += 0.25 * (a - b) * (a - b) / (m * m + 0.01) / 3;
+        }
+    }
+  std::vector<double> squared(sums.size(), 0.0);  // error of a pixel of the tile with the pilot's samples
+  double root = 0, pixels = 0;
+  for (int y = 0; y < tiles.down; ++y)
+    for (int x = 0; x < tiles.across; ++x) {
+      Sum all;
+      for (int j = std::max(0, y - 1); j <= std::min(tiles.down - 1, y + 1); ++j)
+        for (int i = std::max(0, x - 1); i <= std::min(tiles.across - 1, x + 1); ++i) {
+          const Sum& s = sums[static_cast<std::size_t>(j) * tiles.across + i];
+          const double weight = i == x && j == y ? 1 : 0.25;
+          all.pixels += weight * s.pixels;
+          for (int c = 0; c < 2; ++c) all.error[c] += weight * s.error[c];
+        }
+      const std::size_t index = static_cast<std::size_t>(y) * tiles.across + x;
+      if (all.pixels > 0) squared[index] = std::max(all.error[0], all.error[1]) / all.pixels;
+      root += sums[index].pixels * std::sqrt(squared[index]);
+      pixels += sums[index].pixels;
+    }
+  // The least samples for a mean squared error E^2 of the picture, of tiles whose own falls as 1 / n: n in proportion to its root
+  // (Neyman 1934).
+  const double scale = pixels > 0 ? 2 * pilot_samples * root / (pixels * t.options.target_error * t.options.target_error) : 0;
+  const int levels = std::bit_width(static_cast<unsigned>(most_samples / least_samples));
+  for (std::size_t i = 0; i < squared.size(); ++i) {
+    const double wanted = scale * std::sqrt(squared[i]);
+    int level = 0;
+    while (level < levels - 1 && (least_samples << level) * std::numbers::sqrt2 < wanted) ++level;  // the nearest power of two
+    tiles.place[i] = static_cast<std::uint8_t>(level);
+  }
+  tiles.places.clear();
+  for (int level = 0; level < levels; ++level)
+    tiles.places.emplace_back(filter, mix64(t.options.stream + static_cast<std::uint64_t>(level) + 1), least_samples << level);
+}
+
+}  // namespace
+
 Radiance trace_radiance(const Scene& scene, const Lights& lights, const Accel& accel, const Camera& camera, const PixelMask& mask,
                         const PathOptions& options) {
   Radiance out;
@@ -230,7 +323,13 @@ Radiance trace_radiance(const Scene& scene, const Lights& lights, const Accel& a
   for (const auto& p : scene.appearance->paints) check(static_cast<int>(p->coats.size()) == scene.appearance->coat_count, "a paint has another number of coats");
   if (options.light) check(options.light->padded == padded_coats(scene.appearance->coat_count), "light on the surface is of another batch of coats");
   const Tracer tracer{scene, lights, accel, options, options.light};
-  with_padded_coats(scene.appearance->coat_count, [&]<int P>() { trace_tiles<P>(tracer, camera, mask, out); });
+  const PixelFilter filter(options.filter_radius);
+  Tiles tiles(camera, filter);
+  if (options.target_error > 0)
+    choose_samples(tracer, camera, mask, filter, tiles, out);
+  else
+    tiles.places.emplace_back(filter, options.stream, options.samples);
+  with_padded_coats(scene.appearance->coat_count, [&]<int P>() { trace_tiles<P>(tracer, camera, mask, tiles, out); });
   return out;
 }
 

@@ -354,3 +354,62 @@ TEST_CASE("a coat alone equals the same coat in a batch of twelve and of any oth
       if (turned[i] < 12) CHECK(more.coats[i].data == batch.coats[turned[i]].data);
   }
 }
+
+TEST_CASE("a target error is met, by samples that no coat has a say in") {
+  const Surface ball = sphere_surface(40, 80, 1, 4);  // dented: parts in its own shadow
+  auto render = [&](const std::vector<vec3>& coats, double target, int samples, std::uint64_t stream) {
+    auto a = std::make_shared<Appearance>();
+    add_material(*a, 0.7f, 0, coats);
+    Scene scene;
+    scene.appearance = a;
+    scene.instances = {instance_of(ball, 0, 0)};
+    Lights lights;
+    lights.environment = std::make_shared<Environment>(vec3(0.4f));
+    lights.suns.push_back({glm::normalize(vec3(1, 0.3f, 1)), vec3(2), 0.05f});
+    lights.prepare(vec3(0));
+    const Accel accel(scene);
+    const SkyShares sky = sky_shares(scene, accel);
+    const Camera camera = look_at({5, 1, 1}, {0, 0, 0}, 70, 64, 64);
+    PathOptions o;
+    o.samples = samples;
+    o.target_error = target;
+    o.stream = stream;
+    o.sky = &sky;
+    return trace_radiance(scene, lights, accel, camera, footprint(scene, camera, o.filter_radius), o);
+  };
+  const std::vector<vec3> coats = {vec3(1), vec3(0.5f, 0.2f, 0.1f), vec3(0.03f)};
+  const Radiance reference = render(coats, 0, 4096, 1);
+  std::uint64_t last = 0;
+  for (const double target : {0.05, 0.02}) {
+    double worst = 0;
+    constexpr int runs = 4;
+    std::uint64_t paths = 0;
+    std::vector<double> error(coats.size(), 0.0);
+    for (int run = 0; run < runs; ++run) {
+      const Radiance r = render(coats, target, 1, 100 + run);
+      paths += r.paths / runs;
+      for (std::size_t c = 0; c < coats.size(); ++c) {
+        double sum = 0, n = 0;
+        for (std::size_t p = 0; p < 64 * 64; ++p) {
+          if (reference.coats[c].data[4 * p + 3] < 0.5f) continue;
+          for (int k = 0; k < 3; ++k) {
+            const double x = r.coats[c].data[4 * p + k], e = reference.coats[c].data[4 * p + k];
+            sum += (x - e) * (x - e) / (e * e + 0.01) / 3;
+          }
+          n += 1;
+        }
+        error[c] += sum / n / runs;
+      }
+    }
+    for (const double e : error) worst = std::max(worst, std::sqrt(e));
+    CAPTURE(target);
+    MESSAGE("target ", target, ": ", worst, " with ", double(paths) / (64 * 64), " samples a pixel of the picture");
+    CHECK(worst < 1.4 * target);  // the pilot's eight samples say it to some 20 %
+    CHECK(worst > 0.5 * target);
+    CHECK(paths > 2 * last);
+    last = paths;
+  }
+  // Alone and in a batch: the same bits, so no coat has moved a sample.
+  const Radiance batch = render(coats, 0.05, 1, 7);
+  for (std::size_t c = 0; c < coats.size(); ++c) CHECK(render({coats[c]}, 0.05, 1, 7).coats[0].data == batch.coats[c].data);
+}

@@ -2,6 +2,7 @@
 
 #include <doctest/doctest.h>
 
+#include "generator/core/data_root.h"
 #include "tests/temporary_file.h"
 
 using namespace moomill;
@@ -54,4 +55,33 @@ TEST_CASE("a plan names what is left out, and why") {
   CHECK(stage(points, "encoders")["runs"] == false);
   CHECK(stage(points, "first hits")["runs"] == false);
   CHECK(stage(points, "keypoints")["runs"] == true);
+}
+
+TEST_CASE("a plan by a probe counts every part once") {
+  SceneSpec scene = read_scene(data_root() / "scenes/quick.toml");
+  Overrides small;
+  small.resolution = {{64, 48}};
+  small.samples = 4;
+  apply_overrides(scene, small);
+  const ProbeReport p = probe(scene, 0.2);
+  CHECK(p.views >= 4);
+  CHECK(p.samples == 4);
+  for (const double part : {p.start.processor, p.start.elapsed, p.baking.processor, p.frame, p.labels, p.light, p.encoding}) CHECK(part > 0);
+  CHECK(p.processor_seconds ==
+        doctest::Approx(p.start.processor + p.baking.processor + 4 * p.frame + 96 * (p.labels + p.light + p.encoding)));
+  const PlanReport report = plan(scene, &p);
+  CHECK(report.json["processor_seconds"] == p.processor_seconds);
+  CHECK(report.json["seconds"] == p.seconds);
+  CHECK(contains(report.text, "after loading"));
+}
+
+TEST_CASE("a clip that does not exist is refused by probe and generate, which leaves nothing behind") {
+  const TemporaryFile file("a.toml", "modalities = [\"depth\"]\n[[animals]]\nspecies = \"cow\"\nposes = [{clip = \"walk\", count = 2}, {clip = \"wlak\", count = 2}]\n");
+  const SceneSpec scene = read_scene(file.path);
+  const std::string says = "has no clip 'wlak'";
+  CHECK(contains(message_of([&] { probe(scene, 0.1); }), says));
+  GenerateOptions options;
+  options.out = file.folder() / "out";
+  CHECK(contains(message_of([&] { generate(scene, options); }), says));
+  CHECK_FALSE(std::filesystem::exists(options.out));
 }

@@ -63,7 +63,7 @@ TEST_CASE("a scene is left without each of its modalities, lights and coats") {
 TEST_CASE("savings are held against stage times where they are larger than the scatter") {
   LeaveOut l;
   l.variant = {"modality depth", {}, {"encode depth", "labels depth", "depth"}};
-  for (const double noise : {0.0, 0.02, -0.01}) {
+  for (const double noise : {0.0, 0.02, -0.01, 0.01, -0.02}) {
     l.with.push_back(run(10 + noise, 2, 300));
     l.without.push_back(run(8.1, 0, 280));
   }
@@ -74,6 +74,10 @@ TEST_CASE("savings are held against stage times where they are larger than the s
   CHECK(figure(r, "modality depth: peak memory saved").value == doctest::Approx(20));
   for (Run& x : l.without) x.seconds = 8.5;
   CHECK_FALSE(leave_out_study("t", {l}).holds());
+  // Four pairs say too little.
+  LeaveOut few = l;
+  few.with.resize(4), few.without.resize(4);
+  CHECK_FALSE(figure(leave_out_study("t", {few}), ratio).at_least);
   // Scatter of the order of the stage: told, not held.
   for (std::size_t i = 0; i < l.with.size(); ++i) l.with[i].seconds = 10 + 3.0 * i;
   CHECK_FALSE(figure(leave_out_study("t", {l}), ratio).at_least);

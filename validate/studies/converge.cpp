@@ -36,6 +36,7 @@ class Stopwatch {
 
 // One view in every coat, and what it took, per coat.
 struct Pictures {
+  double samples = 0;  // a pixel
   std::map<int, ImageF> of_coat;
   std::map<int, Times> times;
 };
@@ -69,6 +70,7 @@ Pictures render(const Mill& mill, const Prepared& prepared, const CameraRecord& 
     View view = mill.trace_coats(prepared.frame, camera, *batch, resampling);
     const Times all = watch.read();
     const auto coats = static_cast<double>(batch->coats.size());
+    out.samples = view.samples;
     for (Map& map : view.maps) {
       out.times[map.coat] = {all.seconds / coats + prepared.share.seconds, all.core_seconds / coats + prepared.share.core_seconds};
       out.of_coat[map.coat] = std::move(map.f);
@@ -154,13 +156,15 @@ Convergence measure_convergence(const SceneSpec& scene, const ConvergeOptions& o
   const int threads = options.threads > 0 ? options.threads : hardware_threads();
   tbb::global_control control(tbb::global_control::max_allowed_parallelism, threads);
   const int reference_samples = options.reference_samples > 0 ? options.reference_samples : 16 * options.max_samples;
-  std::vector<int> counts;
-  for (int n = 1; n <= options.max_samples; n *= 2) counts.push_back(n);
+  std::vector<Resampling> measured;
+  for (const double e : options.target_errors) measured.push_back({0, e});
+  if (measured.empty())
+    for (int n = 1; n <= options.max_samples; n *= 2) measured.push_back({n});
 
   const Mill mill(spec);
   std::size_t total = 0, done = 0;
   std::size_t per_view = reference_samples;
-  for (const int c : counts) per_view += static_cast<std::size_t>(options.repetitions) * c;
+  for (const Resampling& m : measured) per_view += static_cast<std::size_t>(options.repetitions) * m.samples;
   const auto tell = [&](int more, const std::string& stage) {
     done += more;
     if (options.progress) options.progress(done, total, stage);
@@ -180,9 +184,9 @@ Convergence measure_convergence(const SceneSpec& scene, const ConvergeOptions& o
         input_error("{}: no animal is in frame {} of camera {}; choose another camera", spec.file, number, camera.id);
 
       tell(0, fmt::format("reference of camera {}", camera.id));
-      const Pictures a = render(mill, prepared, camera, {(reference_samples + 1) / 2, repetition_key(0, 0), true});
+      const Pictures a = render(mill, prepared, camera, {(reference_samples + 1) / 2, 0, repetition_key(0, 0), true});
       tell(reference_samples / 2, "");
-      const Pictures b = render(mill, prepared, camera, {(reference_samples + 1) / 2, repetition_key(0, 1), true});
+      const Pictures b = render(mill, prepared, camera, {(reference_samples + 1) / 2, 0, repetition_key(0, 1), true});
       std::map<int, Reference> references;
       for (const auto& [coat, picture] : a.of_coat) {
         references[coat] = join_halves(picture, b.of_coat.at(coat), mask);
@@ -191,14 +195,17 @@ Convergence measure_convergence(const SceneSpec& scene, const ConvergeOptions& o
       tell(reference_samples - reference_samples / 2, fmt::format("camera {}", camera.id));
 
       for (int r = 0; r < options.repetitions; ++r)
-        for (const int n : counts) {
-          const Pictures pictures = render(mill, prepared, camera, {n, repetition_key(n, r)});
+        for (const Resampling& asked : measured) {
+          Resampling again = asked;
+          again.repetition = repetition_key(asked.samples > 0 ? asked.samples : static_cast<int>(1e6 * asked.target_error), r);
+          const Pictures pictures = render(mill, prepared, camera, again);
+          const int n = asked.samples > 0 ? asked.samples : std::max(1, static_cast<int>(std::lround(pictures.samples)));
           for (const auto& [coat, picture] : pictures.of_coat) {
             const Times& t = pictures.times.at(coat);
             out.rows.push_back({"moomill", number, camera.id, coat, n, t.seconds, t.core_seconds,
                                 picture_error(picture, references.at(coat).picture, mask)});
           }
-          tell(n, fmt::format("camera {}", camera.id));
+          tell(asked.samples, fmt::format("camera {}", camera.id));
         }
     }
   }

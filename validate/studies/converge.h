@@ -39,6 +39,7 @@ std::vector<ConvergenceRow> read_convergence(const std::filesystem::path& file_o
 
 struct ConvergeOptions {
   int max_samples = 1024;      // measured: 1, 2, 4, ... up to it
+  std::vector<double> target_errors;  // measured instead, if any; `samples` of a row is then their mean number, rounded
   int repetitions = 3;         // of every sample count, each with samples of its own
   int reference_samples = 0;   // 0: 16 times max_samples
   int cameras_per_frame = 24;  // among which the preparation of a frame is shared

@@ -43,8 +43,8 @@ struct LeaveOutOptions {
 };
 std::vector<LeaveOut> measure_leave_out(const SceneSpec& scene, const LeaveOutOptions& options);
 
-// Per part: what its stages report, what leaving it out saved (median of the pairs), their ratio: at least 0.9, held
-// wherever the stages take more than the runs scatter.
+// Per part: what its stages report, what leaving it out saved (median of the pairs), their ratio: at least 0.9, held where there are at
+// least five pairs and they know the saving to a tenth of what the stages take.
 StudyResult leave_out_study(const std::string& title, const std::vector<LeaveOut>& measured);
 
 }  // namespace moomill
