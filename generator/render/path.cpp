@@ -258,7 +258,7 @@ void choose_samples(const Tracer& t, const Camera& camera, const PixelMask& mask
   for (int h = 0; h < 2; ++h) {
     half[h].coats.assign(2, ImageF(camera.width, camera.height, 4));
     tiles.places = {SamplePlaces(filter, mix64(t.options.stream + 0x70696c6f74 + h), pilot_samples)};
-    trace_tiles<4>(tracer, camera, mask, tiles, half[h]);
+    trace_tiles<padded_coats(2)>(tracer, camera, mask, tiles, half[h]);
     told.paths += half[h].paths;
     told.rays += half[h].rays;
     told.not_finite += half[h].not_finite;

@@ -19,6 +19,7 @@ enum Pair : std::uint32_t { filter_pair = 0, direction_pair, lobe_pair, light_pa
 // One value per coat and channel, padded to a multiple of eight coats so that the loops are whole vectors.
 template <int P>
 struct alignas(32) Lanes {
+  static_assert(P % 8 == 0);
   float v[3][P];
   void fill(float x) {
     for (auto& c : v)
