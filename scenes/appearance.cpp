@@ -102,19 +102,20 @@ Paint constant_paint(const vec3& color, int coats) {
 }  // namespace
 
 BatchPlan plan_batches(const SceneSpec& scene) {
-  constexpr double most_coats = 32;
+  // Light held by vertices takes 60 numbers a vertex and coat while it is gathered: batches stay small.
+  const double most = scene.render.surface_light ? 32 : most_coats;
   const double memory = scene.render.memory_mb * 1e6, eighth = memory / 8;
   const double resolution = scene.render.coat_resolution, animals = static_cast<double>(scene.animals.size());
   const double baked = 3 * resolution * resolution * animals;
   const double picture = 4.0 * sizeof(float) * scene.cameras.width * scene.cameras.height;
-  const double each = std::max(baked, picture);
+  const double each = std::max(baked, picture / 2);
   if (each > eighth)
     input_error("{}: render.memory_mb = {:.0f} is too little for one coat of {} x {} texels and pictures of {} x {}; give it {:.0f}, or a smaller "
                 "coat_resolution", scene.file, scene.render.memory_mb, resolution, resolution, scene.cameras.width, scene.cameras.height,
                 std::ceil(8 * each / 1e6));
   BatchPlan plan;
   const double n = static_cast<double>(scene.coat_indices.size());
-  plan.coats = static_cast<int>(std::min({most_coats, std::floor(eighth / each), std::max(1.0, n)}));
+  plan.coats = static_cast<int>(std::min({most, std::floor(eighth / each), std::max(1.0, n)}));
   const double batches = std::ceil(n / plan.coats);
   plan.kept = static_cast<int>(std::clamp(std::floor(memory / 4 / (baked * plan.coats)), 1.0, std::max(1.0, batches)));
   plan.bytes = plan.coats * baked * (plan.kept + std::clamp(batches - plan.kept, 0.0, 2.0)) + 2 * plan.coats * picture;

@@ -10,7 +10,7 @@ namespace moomill {
 
 // Holds what all coats share, and dresses the animals in one batch of coats after the other. Batches are runs of the
 // scene's chosen coats. Of render.memory_mb, two batches at work take at most a quarter, the pictures of two views in
-// the making another, and a quarter is for batches that are kept: the first ones, as many as fit; later ones are baked
+// the making half, and a quarter is for batches that are kept: the first ones, as many as fit; later ones are baked
 // again whenever they are asked for. None of this changes a bit of any picture.
 class Wardrobe {
  public:
@@ -38,10 +38,11 @@ class Wardrobe {
 
 // Coats of a batch, baked batches that are kept, and the bytes that follow.
 struct BatchPlan {
-  int coats = 32, kept = 1;
+  int coats = most_coats, kept = 1;
   double bytes = 0;
 };
-// 32 coats are shaded at once, fewer where they or their pictures of one view would pass an eighth of the memory.
+// 128 coats are shaded at once (32 with render.surface_light), fewer where they would pass an eighth of the memory or their pictures of
+// one view a quarter.
 // InputError where not even one coat fits.
 BatchPlan plan_batches(const SceneSpec& scene);
 

@@ -49,15 +49,31 @@ struct SamplePlaces {
 
 // Sums of a pixel, with what they have lost to rounding so far (Kahan 1965): a plain sum of a million samples is 1 % off.
 template <int P>
-struct PixelSums {
-  static constexpr int values = 3 * P + 1;  // radiance as in Lanes, then alpha
+struct alignas(32) PixelSums {
+  static constexpr int values = 3 * P + 8;  // radiance as in Lanes, then alpha
   float sum[values] = {}, lost[values] = {};
-  void add(const float* more) {
-    for (int i = 0; i < values; ++i) {
-      const float e = more[i] - lost[i], s = sum[i] + e;
-      lost[i] = (s - sum[i]) - e;
-      sum[i] = s;
+
+  // Adds eight samples' radiance times their weights, and the weights' sum to alpha, for so many coats. The operations on a coat
+  // are the same in any batch.
+  void add(const Lanes<P>* radiance, const float* weight, int coats) {
+    __m256 w[batch_size];
+    float alpha = 0;
+    for (int i = 0; i < batch_size; ++i) {
+      w[i] = _mm256_set1_ps(weight[i]);
+      alpha += weight[i];
     }
+    const auto add_eight = [&](int at, __m256 more) {
+      const __m256 before = _mm256_load_ps(sum + at), e = _mm256_sub_ps(more, _mm256_load_ps(lost + at)), s = _mm256_add_ps(before, e);
+      _mm256_store_ps(lost + at, _mm256_sub_ps(_mm256_sub_ps(s, before), e));
+      _mm256_store_ps(sum + at, s);
+    };
+    for (int c = 0; c < 3; ++c)
+      for (int t = 0; t < coats; t += 8) {
+        __m256 part = _mm256_mul_ps(w[0], _mm256_load_ps(radiance[0].v[c] + t));
+        for (int i = 1; i < batch_size; ++i) part = _mm256_fmadd_ps(w[i], _mm256_load_ps(radiance[i].v[c] + t), part);
+        add_eight(c * P + t, part);
+      }
+    add_eight(3 * P, _mm256_set1_ps(alpha));
   }
 };
 
@@ -69,7 +85,11 @@ void trace_pixel(const Tracer& t, const Camera& camera, const SamplePlaces& plac
   const int samples = places.samples();
   const PixelSampler sampler = PixelSampler::in_image(places.stream, x + places.reach, y + places.reach, samples);
   const vec3 origin(camera.centre - t.scene.origin);
-  Batch<P> batch;
+  thread_local Batch batch;
+  const auto& textures = t.scene.appearance->textures;
+  const int coats = t.scene.appearance->coat_count;
+  Lanes<P> radiance[batch_size];
+  for (auto& r : radiance) r.fill(0.0f);  // of samples that see nothing: any finite values, their weight is 0
   for (int first = 0; first < samples; first += batch_size) {
     const int n = std::min(batch_size, samples - first);
     Ray8 rays;
@@ -90,42 +110,25 @@ void trace_pixel(const Tracer& t, const Camera& camera, const SamplePlaces& plac
       if (!met && !options.environment_visible) continue;
       seen[i] = true;
       ++any;
-      batch.radiance[i].fill(0.0f);
-      batch.throughput[i].fill(1.0f);
-      if (!met) {
-        add(batch.radiance[i], batch.throughput[i], t.lights.environment->radiance(direction[i]));
-        continue;
+      if (met) {
+        batch.start(i, {rays.instance[i], rays.triangle[i], rays.u[i], rays.v[i], rays.far[i]}, -direction[i]);
+      } else {
+        batch.trail[i].start();
+        batch.trail[i].seen = t.lights.environment->radiance(direction[i]);
       }
-      batch.white[i] = 1.0f;
-      batch.hit[i] = {rays.instance[i], rays.triangle[i], rays.u[i], rays.v[i], rays.far[i]};
-      batch.wo[i] = -direction[i];
-      batch.lanes[batch.count++] = i;
     }
     if (any == 0) continue;
     trace_paths(t, sampler, first, batch, counters);
 
-    for (int i = 0; i < n; ++i) {
-      if (!seen[i]) continue;
-      float total = 0;
-      for (auto& c : batch.radiance[i].v)
-        for (float v : c) total += v;
-      if (std::isfinite(total)) continue;
-      ++counters.not_finite;
-      batch.radiance[i].fill(0.0f);
-    }
+    for (int i = 0; i < n; ++i)
+      if (seen[i]) counters.not_finite += play(batch.trail[i], textures, coats, P, &radiance[i].v[0][0]);
     const int side = 2 * places.reach + 1;
     for (int row = 0; row < side; ++row)
       for (int column = 0; column < side; ++column) {
-        alignas(32) float part[PixelSums<P>::values] = {};
-        for (int i = 0; i < n; ++i) {
-          if (!seen[i]) continue;
-          const float* w = places.of(first + i);
-          const float weight = w[column] * w[side + row];
-          const float* values = &batch.radiance[i].v[0][0];
-          for (int k = 0; k < 3 * P; ++k) part[k] += weight * values[k];
-          part[3 * P] += weight;
-        }
-        centre[(row - places.reach) * stride + column - places.reach].add(part);
+        float weight[batch_size] = {};
+        for (int i = 0; i < n; ++i)
+          if (seen[i]) weight[i] = places.of(first + i)[column] * places.of(first + i)[side + row];
+        centre[(row - places.reach) * stride + column - places.reach].add(radiance, weight, coats);
       }
   }
 }
@@ -207,29 +210,23 @@ double blackman_harris(double x) {  // over [0, 1]; Harris 1978, four terms
   const double a = 2 * pi * x;
   return 0.35875 - 0.48829 * std::cos(a) + 0.14128 * std::cos(2 * a) - 0.01168 * std::cos(3 * a);
 }
+double blackman_harris_integral(double x) {  // from 0; 0.35875 at 1
+  const double a = 2 * pi * x;
+  return 0.35875 * x - (0.48829 * std::sin(a) - 0.14128 / 2 * std::sin(2 * a) + 0.01168 / 3 * std::sin(3 * a)) / (2 * pi);
+}
 
 }  // namespace
 
-PixelFilter::PixelFilter(double radius) : radius_(radius) {
-  // Integrated and inverted by a table.
-  constexpr int n = 1024;
-  std::vector<double> cumulative(n + 1, 0.0);
-  for (int i = 0; i < n; ++i) cumulative[i + 1] = cumulative[i] + blackman_harris((i + 0.5) / n);
-  inverse_.resize(n + 1);
-  int k = 0;
-  for (int i = 0; i <= n; ++i) {
-    const double target = cumulative[n] * i / n;
-    while (k < n - 1 && cumulative[k + 1] < target) ++k;
-    const double width = cumulative[k + 1] - cumulative[k];
-    const double x = (k + (width > 0 ? std::clamp((target - cumulative[k]) / width, 0.0, 1.0) : 0.0)) / n;
-    inverse_[i] = static_cast<float>((2 * x - 1) * radius);
-  }
-}
-
 float PixelFilter::sample(float xi) const {
-  const float x = xi * (inverse_.size() - 1);
-  const auto i = std::min(static_cast<std::size_t>(x), inverse_.size() - 2);
-  return inverse_[i] + (x - static_cast<float>(i)) * (inverse_[i + 1] - inverse_[i]);
+  // Newton's method on the lower half, where the integral is convex: from above it comes down to the root without passing it.
+  const double half = std::min(xi, 1.0f - xi), target = 0.35875 * half;
+  double x = 0.5;
+  for (int i = 0; i < 100; ++i) {
+    const double step = (blackman_harris_integral(x) - target) / blackman_harris(x);
+    x = std::max(x - step, 0.0);
+    if (!(step > 1e-10)) break;
+  }
+  return static_cast<float>((xi < 0.5f ? 2 * x - 1 : 1 - 2 * x) * radius_);
 }
 
 float PixelFilter::weight(float distance) const {
@@ -261,7 +258,7 @@ void choose_samples(const Tracer& t, const Camera& camera, const PixelMask& mask
   for (int h = 0; h < 2; ++h) {
     half[h].coats.assign(2, ImageF(camera.width, camera.height, 4));
     tiles.places = {SamplePlaces(filter, mix64(t.options.stream + 0x70696c6f74 + h), pilot_samples)};
-    trace_tiles<4>(tracer, camera, mask, tiles, half[h]);
+    trace_tiles<padded_coats(2)>(tracer, camera, mask, tiles, half[h]);
     told.paths += half[h].paths;
     told.rays += half[h].rays;
     told.not_finite += half[h].not_finite;
@@ -321,7 +318,7 @@ Radiance trace_radiance(const Scene& scene, const Lights& lights, const Accel& a
                         const PathOptions& options) {
   Radiance out;
   out.coats.assign(scene.appearance->coat_count, ImageF(camera.width, camera.height, 4));
-  check(scene.appearance->coat_count >= 1 && scene.appearance->coat_count <= 32, "a batch holds 1 to 32 coats");
+  check(scene.appearance->coat_count >= 1 && scene.appearance->coat_count <= most_coats, "a batch holds 1 to 128 coats");
   check(options.samples >= 1, "at least one sample a pixel");
   for (const auto& p : scene.appearance->paints) check(static_cast<int>(p->coats.size()) == scene.appearance->coat_count, "a paint has another number of coats");
   if (options.light) check(options.light->padded == padded_coats(scene.appearance->coat_count), "light on the surface is of another batch of coats");

@@ -45,7 +45,7 @@ Radiance trace_radiance(const Scene& scene, const Lights& lights, const Accel& a
 // The pixel filter: a Blackman-Harris window of `radius` pixels, along each axis.
 class PixelFilter {
  public:
-  explicit PixelFilter(double radius);
+  explicit PixelFilter(double radius) : radius_(radius) {}
   float sample(float xi) const;  // pixels from the centre, in [-radius, radius], distributed as the window
   float weight(float distance) const;  // the window's density at so many pixels from the centre; its integral is 1
   double radius() const { return radius_; }
@@ -55,7 +55,6 @@ class PixelFilter {
 
  private:
   double radius_;
-  std::vector<float> inverse_;  // inverse of the cumulative window
 };
 
 }  // namespace moomill

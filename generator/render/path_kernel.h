@@ -1,5 +1,8 @@
 #pragma once
-// The path kernel, for path.cpp and surface_light.cpp alone: eight paths side by side, each with a throughput per coat.
+// The path kernel, for path.cpp and surface_light.cpp alone: eight paths side by side. No coat enters while they are traced; what each
+// does to light is written down, a step per surface, and then played for eight coats at a time, in registers.
+#include <immintrin.h>
+
 #include "generator/render/bsdf.h"
 #include "generator/render/path.h"
 #include "generator/render/sampler.h"
@@ -13,9 +16,10 @@ inline constexpr float held_highlights = 0.3f;  // share of samples that follow 
 // Pairs of dimensions of a path: one for the filter, then a block per bounce.
 enum Pair : std::uint32_t { filter_pair = 0, direction_pair, lobe_pair, light_pair, choice_pair, texel_pair, pairs_per_bounce = 5 };
 
-// One value per coat and channel, padded to a multiple of four coats so that the loops are whole vectors.
+// One value per coat and channel, padded to a multiple of eight coats so that the loops are whole vectors.
 template <int P>
 struct alignas(32) Lanes {
+  static_assert(P % 8 == 0);
   float v[3][P];
   void fill(float x) {
     for (auto& c : v)
@@ -95,33 +99,62 @@ inline vec3 leave(const ShadingPoint& p, const vec3& direction) {
   return p.position + (glm::dot(direction, p.geometric) < 0 ? -offset : offset) * p.geometric;
 }
 
-// f(t) = A + B b + C b^2 per coat and channel, times a weight.
-template <int P>
-void multiply(Lanes<P>& out, const Lanes<P>& in, const Lanes<P>& base, const BaseResponse& r, float weight) {
-  const float a = r.a * weight, b = r.b * weight, c = r.c * weight;
-  for (int k = 0; k < 3; ++k)
-    for (int t = 0; t < P; ++t) out.v[k][t] = in.v[k][t] * (a + base.v[k][t] * (b + base.v[k][t] * c));
-}
-template <int P>
-void add(Lanes<P>& sum, const Lanes<P>& throughput, const vec3& radiance) {
-  for (int k = 0; k < 3; ++k) {
-    const float e = radiance[k];
-    for (int t = 0; t < P; ++t) sum.v[k][t] += throughput.v[k][t] * e;
-  }
-}
-
 struct Counters {
   std::uint64_t paths = 0, rays = 0, not_finite = 0;
 };
 
+// What a path does where it meets a surface, for a coat with base colour b:
+//   radiance += throughput (before[0] + before[1] b + before[2] b^2)
+//   throughput *= next(b)
+//   radiance += throughput after
+struct Step {
+  PaintPoint paint;
+  vec3 before[3] = {vec3(0), vec3(0), vec3(0)};
+  BaseResponse next;
+  vec3 after{0};
+  bool goes_on = false;  // else the path ends with `before`
+
+  void light(const BaseResponse& r, const vec3& radiance) {
+    before[0] += r.a * radiance;
+    before[1] += r.b * radiance;
+    before[2] += r.c * radiance;
+  }
+};
+
+// A path through the scene, as far as all coats share it.
+struct Trail {
+  vec3 seen{0};             // radiance met by the camera ray itself
+  std::vector<Step> steps;  // capacity stays from sample to sample
+  // Where the surface holds its light. At the first step: radiance += throughput b factor max(0, sum of weight * incident); after the
+  // last: radiance += throughput * (sum of weight * outgoing). Null: not so.
+  const float* incident[3] = {};
+  float incident_weight[3][4], factor = 0;
+  const float* outgoing[3] = {};
+  float outgoing_weight[3];
+
+  void start() {
+    seen = vec3(0);
+    steps.clear();
+    incident[0] = outgoing[0] = nullptr;
+  }
+};
+
 // Eight samples of one pixel on their way through the scene. A lane is at work while it is in `lanes`.
-template <int P>
 struct Batch {
-  Lanes<P> throughput[batch_size], radiance[batch_size];
+  Trail trail[batch_size];
   float white[batch_size];  // throughput of a white base
+  float gain[batch_size];   // throughput not yet written down: of the roulette
   SurfaceHit hit[batch_size];
   vec3 wo[batch_size];
   int lanes[batch_size], count = 0;
+
+  void start(int lane, const SurfaceHit& met, const vec3& to_eye) {
+    trail[lane].start();
+    white[lane] = gain[lane] = 1.0f;
+    hit[lane] = met;
+    wo[lane] = to_eye;
+    lanes[count++] = lane;
+  }
 };
 
 // What one image is traced with.
@@ -147,23 +180,92 @@ void add_outgoing(Lanes<P>& sum, const Lanes<P>& throughput, const SurfaceLight&
     }
 }
 
-// Light that arrives at a point for its matt base, as SurfaceLight defines it, with this shading normal.
-template <int P>
-void incident_light(Lanes<P>& out, const SurfaceLight& light, const Scene& scene, const SurfaceHit& hit, const vec3& normal) {
+// Writes down light that a surface holds: what it throws back, and what arrives for its matt base with this shading normal.
+inline void note_outgoing(Trail& trail, const SurfaceLight& light, const Scene& scene, const SurfaceHit& hit, float gain) {
+  const uvec3 t = scene.instances[hit.instance].surface->triangles[hit.triangle];
+  const float weight[3] = {1.0f - hit.u - hit.v, hit.u, hit.v};
+  for (int k = 0; k < 3; ++k) {
+    trail.outgoing[k] = light.outgoing(hit.instance, t[k]);
+    trail.outgoing_weight[k] = gain * weight[k];
+  }
+}
+inline void note_incident(Trail& trail, const SurfaceLight& light, const Scene& scene, const SurfaceHit& hit, const vec3& normal, float factor) {
   const Instance& in = scene.instances[hit.instance];
   const uvec3 t = in.surface->triangles[hit.triangle];
   const float weight[3] = {1.0f - hit.u - hit.v, hit.u, hit.v};
-  out.fill(0.0f);
   for (int k = 0; k < 3; ++k) {
     const Frame frame(glm::normalize(in.posed.normals[t[k]]));
     const float x = glm::dot(normal, frame.x), y = glm::dot(normal, frame.y);
-    const float w0 = weight[k], w1 = weight[k] * x, w2 = weight[k] * y, w3 = weight[k] * (x * x + y * y);
-    const float* a = light.incident(hit.instance, t[k]);
-    float* sum = &out.v[0][0];
-    for (int j = 0; j < 3 * P; ++j) sum[j] += w0 * a[j] + w1 * a[3 * P + j] + w2 * a[6 * P + j] + w3 * a[9 * P + j];
+    const float w[4] = {weight[k], weight[k] * x, weight[k] * y, weight[k] * (x * x + y * y)};
+    std::copy_n(w, 4, trail.incident_weight[k]);
+    trail.incident[k] = light.incident(hit.instance, t[k]);
   }
-  for (auto& c : out.v)
-    for (float& v : c) v = std::max(v, 0.0f);
+  trail.factor = factor;
+}
+
+// As fetch_paint(), for the coats first .. first + 7. Beyond the last coat the values are any colours.
+inline void fetch_eight(const PaintPoint& p, const std::vector<std::shared_ptr<const Texture>>& textures, const float* srgb, int first, __m256* base) {
+  if (p.texel) {
+    const std::size_t n = p.paint->coats.size();
+    for (int c = 0; c < 3; ++c) {
+      const __m128i bytes = _mm_loadl_epi64(reinterpret_cast<const __m128i*>(p.texel + c * n + first));
+      base[c] = _mm256_i32gather_ps(srgb, _mm256_cvtepu8_epi32(bytes), 4);
+    }
+    return;
+  }
+  alignas(32) float single[3][8];
+  fetch_single_paints(p, textures, first, single);
+  for (int c = 0; c < 3; ++c) base[c] = _mm256_load_ps(single[c]);
+}
+
+// Radiance of every coat from a path, `padded` coats apart per channel. A coat whose value is not finite gets 0; returns whether any
+// did. Every coat goes through the same operations, in whatever batch.
+inline bool play(const Trail& trail, const std::vector<std::shared_ptr<const Texture>>& textures, int coats, int padded, float* radiance) {
+  const float* srgb = srgb_table().data();
+  const __m256 zero = _mm256_setzero_ps();
+  bool all_finite = true;
+  for (int first = 0; first < coats; first += 8) {
+    __m256 sum[3], throughput[3], base[3];
+    for (int c = 0; c < 3; ++c) {
+      sum[c] = _mm256_set1_ps(trail.seen[c]);
+      throughput[c] = _mm256_set1_ps(1.0f);
+    }
+    for (const Step& s : trail.steps) {
+      fetch_eight(s.paint, textures, srgb, first, base);
+      for (int c = 0; c < 3; ++c) {
+        __m256 f = _mm256_fmadd_ps(base[c], _mm256_set1_ps(s.before[2][c]), _mm256_set1_ps(s.before[1][c]));
+        f = _mm256_fmadd_ps(base[c], f, _mm256_set1_ps(s.before[0][c]));
+        sum[c] = _mm256_fmadd_ps(throughput[c], f, sum[c]);
+      }
+      if (trail.incident[0] && &s == trail.steps.data())
+        for (int c = 0; c < 3; ++c) {
+          __m256 arrives = zero;
+          for (int k = 0; k < 3; ++k)
+            for (int j = 0; j < 4; ++j)
+              arrives = _mm256_fmadd_ps(_mm256_set1_ps(trail.incident_weight[k][j]), _mm256_loadu_ps(trail.incident[k] + (3 * j + c) * padded + first), arrives);
+          arrives = _mm256_mul_ps(_mm256_mul_ps(base[c], _mm256_set1_ps(trail.factor)), _mm256_max_ps(arrives, zero));
+          sum[c] = _mm256_fmadd_ps(throughput[c], arrives, sum[c]);
+        }
+      if (!s.goes_on) break;
+      for (int c = 0; c < 3; ++c) {
+        const __m256 f = _mm256_fmadd_ps(base[c], _mm256_set1_ps(s.next.c), _mm256_set1_ps(s.next.b));
+        throughput[c] = _mm256_mul_ps(throughput[c], _mm256_fmadd_ps(base[c], f, _mm256_set1_ps(s.next.a)));
+        sum[c] = _mm256_fmadd_ps(throughput[c], _mm256_set1_ps(s.after[c]), sum[c]);
+      }
+    }
+    if (trail.outgoing[0])
+      for (int c = 0; c < 3; ++c) {
+        __m256 thrown = zero;
+        for (int k = 0; k < 3; ++k) thrown = _mm256_fmadd_ps(_mm256_set1_ps(trail.outgoing_weight[k]), _mm256_loadu_ps(trail.outgoing[k] + c * padded + first), thrown);
+        sum[c] = _mm256_fmadd_ps(throughput[c], thrown, sum[c]);
+      }
+    // x - x is 0 of finite values alone.
+    __m256 finite = _mm256_cmp_ps(_mm256_sub_ps(sum[0], sum[0]), zero, _CMP_EQ_OQ);
+    for (int c = 1; c < 3; ++c) finite = _mm256_and_ps(finite, _mm256_cmp_ps(_mm256_sub_ps(sum[c], sum[c]), zero, _CMP_EQ_OQ));
+    all_finite = all_finite && _mm256_movemask_ps(finite) == 0xff;
+    for (int c = 0; c < 3; ++c) _mm256_storeu_ps(radiance + c * padded + first, _mm256_and_ps(sum[c], finite));
+  }
+  return !all_finite;
 }
 
 // Whether each of `count` shadow rays meets something; the first of them coherent or not.
@@ -182,7 +284,7 @@ inline void intersect_rays(const Accel& accel, const Ray* rays, int count, Surfa
   for (int i = 0; i < count; ++i) hits[i] = accel.intersect(rays[i]);
 }
 
-// Radiance along camera rays that have met the batch's hits. The estimator per bounce, in solid angle:
+// Traces camera rays that have met the batch's hits; the trails tell their radiance. The estimator per bounce, in solid angle:
 //   lights:  Le f cos / p_light * w_light      (next-event estimation)
 //   BSDF:    Le f cos / p_bsdf  * w_bsdf       (when the sampled ray meets light)
 // with power-heuristic weights. Every decision is as for a white base, so the paths are those of every coat.
@@ -193,16 +295,13 @@ inline void intersect_rays(const Accel& accel, const Ray* rays, int count, Surfa
 //
 // With SurfaceLight, a surface that holds it has its matt base's light looked up, all but that of the lights that are sampled; a
 // highlight's ray that meets one ends there.
-template <int P>
-void trace_paths(const Tracer& t, const PixelSampler& sampler, std::uint32_t first, Batch<P>& batch, Counters& counters) {
-  Lanes<P> base[batch_size], reflected;
+inline void trace_paths(const Tracer& t, const PixelSampler& sampler, std::uint32_t first, Batch& batch, Counters& counters) {
   ShadingPoint point[batch_size];
   const vec3 even = t.lights.environment->is_map() ? vec3(0) : t.lights.environment->mean_radiance();
   const SkyShares* sky = even == vec3(0) ? nullptr : t.options.sky;
   Frame frame[batch_size];
   Bsdf bsdf[batch_size];
   bool held[batch_size];  // met where the surface holds its light
-  for (int l = 0; l < batch_size; ++l) base[l].fill(0.0f);
   for (int bounce = 0; batch.count > 0; ++bounce) {
     const std::uint32_t block = bounce * pairs_per_bounce;
     vec2 texel_u[batch_size], choice_u[batch_size], light_u[batch_size], lobe_u[batch_size], direction_u[batch_size];
@@ -227,13 +326,14 @@ void trace_paths(const Tracer& t, const PixelSampler& sampler, std::uint32_t fir
       if (!shading_point(t.scene, sky, batch.hit[l], batch.wo[l], p)) continue;
       held[l] = t.light && p.front && t.light->holds(batch.hit[l].instance);
       if (held[l] && bounce > 0) {
-        add_outgoing(batch.radiance[l], batch.throughput[l], *t.light, t.scene, batch.hit[l]);
+        note_outgoing(batch.trail[l], *t.light, t.scene, batch.hit[l], batch.gain[l]);
         continue;
       }
       batch.lanes[alive++] = l;
       const Material& m = *p.material;
       const auto& textures = t.scene.appearance->textures;
-      fetch_paint(*t.scene.appearance->paints[m.paint], textures, p.uv, p.vertex_color, texel_u[l], P, &base[l].v[0][0]);
+      Step& step = batch.trail[l].steps.emplace_back();
+      step.paint = find_paint(*t.scene.appearance->paints[m.paint], p.uv, p.vertex_color, texel_u[l]);
       float roughness = m.roughness, metallic = m.metallic;
       if (m.metallic_roughness_texture >= 0) {
         const vec3 texel = texture_rgb(*textures[m.metallic_roughness_texture], p.uv);
@@ -247,15 +347,9 @@ void trace_paths(const Tracer& t, const PixelSampler& sampler, std::uint32_t fir
       if (p.sky > 0) {
         BaseResponse albedo = bsdf[l].albedo();
         if (held[l]) albedo = {albedo.a, 0, 0};
-        multiply(reflected, batch.throughput[l], base[l], albedo, p.sky);
-        add(batch.radiance[l], reflected, even);
+        step.light(albedo, batch.gain[l] * p.sky * even);
       }
-      if (held[l]) {
-        incident_light(reflected, *t.light, t.scene, batch.hit[l], p.shading);
-        const float factor = bsdf[l].diffuse_factor();
-        for (int c = 0; c < 3; ++c)
-          for (int e = 0; e < P; ++e) batch.radiance[l].v[c][e] += batch.throughput[l].v[c][e] * base[l].v[c][e] * factor * reflected.v[c][e];
-      }
+      if (held[l]) note_incident(batch.trail[l], *t.light, t.scene, batch.hit[l], p.shading, bsdf[l].diffuse_factor());
       if (t.lights.count() == 0) continue;
       const LightSample light = t.lights.sample(p.position, choice_u[l].x, light_u[l]);
       if (!(light.pdf > 0) || light.radiance == vec3(0) || !(glm::dot(light.direction, p.geometric) > 0)) continue;
@@ -279,8 +373,7 @@ void trace_paths(const Tracer& t, const PixelSampler& sampler, std::uint32_t fir
     for (int i = 0; i < count; ++i) {
       if (occluded[i]) continue;
       const int l = of[i];
-      multiply(reflected, batch.throughput[l], base[l], response[i], weight[i]);
-      add(batch.radiance[l], reflected, light_radiance[i]);
+      batch.trail[l].steps.back().light(response[i], batch.gain[l] * weight[i] * light_radiance[i]);
     }
 
     float pdf[batch_size];
@@ -302,9 +395,13 @@ void trace_paths(const Tracer& t, const PixelSampler& sampler, std::uint32_t fir
       if (!(f.pdf > 0)) continue;
       const vec3 direction = frame[l].to_world(wi);
       const bool under = glm::dot(direction, point[l].geometric) <= 0;  // the true surface
-      multiply(batch.throughput[l], batch.throughput[l], base[l], f.response, 1.0f / f.pdf);
+      Step& step = batch.trail[l].steps.back();
+      const float scale = batch.gain[l] / f.pdf;
+      step.next = {f.response.a * scale, f.response.b * scale, f.response.c * scale};
+      step.goes_on = true;
+      batch.gain[l] = 1.0f;
       batch.white[l] *= f.response.white() / f.pdf;
-      if (point[l].sky > 0) add(batch.radiance[l], batch.throughput[l], -point[l].sky * even);
+      if (point[l].sky > 0) step.after = -point[l].sky * even;
       if (under) continue;
       rays[count] = {leave(point[l], direction), 0, direction, std::numeric_limits<float>::infinity()};
       pdf[count] = f.pdf;
@@ -317,16 +414,14 @@ void trace_paths(const Tracer& t, const PixelSampler& sampler, std::uint32_t fir
     for (int i = 0; i < count; ++i) {
       const int l = of[i];
       const bool met = hits[i].valid();
-      const vec3 light = t.lights.seen_by_bsdf_ray(rays[i].origin, rays[i].direction, pdf[i], met ? hits[i].t : std::numeric_limits<float>::infinity());
-      if (light != vec3(0)) add(batch.radiance[l], batch.throughput[l], light);
+      batch.trail[l].steps.back().after +=
+          t.lights.seen_by_bsdf_ray(rays[i].origin, rays[i].direction, pdf[i], met ? hits[i].t : std::numeric_limits<float>::infinity());
       if (!met || (t.options.max_bounces > 0 && bounce + 1 >= t.options.max_bounces)) continue;
       if (bounce + 1 >= t.options.roulette_from) {
         const float survive = std::min(survive_at_most, batch.white[l]);
         if (!(lobe_u[l].y < survive)) continue;
-        const float gain = 1.0f / survive;
-        for (auto& c : batch.throughput[l].v)
-          for (float& v : c) v *= gain;
-        batch.white[l] *= gain;
+        batch.gain[l] = 1.0f / survive;
+        batch.white[l] *= batch.gain[l];
       }
       batch.hit[l] = hits[i];
       batch.wo[l] = -rays[i].direction;

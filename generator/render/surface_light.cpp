@@ -160,7 +160,9 @@ Gathered<P> gather_instance(const Tracer& t, const std::vector<bool>& holds, std
     const PixelSampler sampler(gather_stream, (static_cast<std::uint64_t>(instance) << 40) + v);
     const PixelSampler bounce_sampler(bounce_stream, (static_cast<std::uint64_t>(instance) << 40) + v);
     float total = 0;
-    Batch<P> batch;
+    Batch batch;
+    Lanes<P> radiance;
+    radiance.fill(0.0f);
     Counters counters;
     vec3 sky[5] = {};
     for (int first = 0; first < gather_rays; first += 8) {
@@ -188,19 +190,16 @@ Gathered<P> gather_instance(const Tracer& t, const std::vector<bool>& holds, std
           out.met[v].push_back({hit, first + i});
           continue;
         }
-        batch.radiance[i].fill(0.0f);
-        batch.throughput[i].fill(1.0f);
-        batch.white[i] = 1.0f;
-        batch.hit[i] = hit;
-        batch.wo[i] = -frame.to_world(local[i]);
-        batch.lanes[batch.count++] = i;
+        batch.start(i, hit, -frame.to_world(local[i]));
         traced[traced_count++] = i;
       }
       if (batch.count == 0) continue;
       trace_paths(t, bounce_sampler, first, batch, counters);
-      for (int j = 0; j < traced_count; ++j)
+      for (int j = 0; j < traced_count; ++j) {
+        play(batch.trail[traced[j]], t.scene.appearance->textures, t.scene.appearance->coat_count, P, &radiance.v[0][0]);
         for (int k = 0; k < 5; ++k)
-          for (int e = 0; e < 3 * P; ++e) (&out.fixed[v][k].v[0][0])[e] += weight[traced[j]][k] * (&batch.radiance[traced[j]].v[0][0])[e];
+          for (int e = 0; e < 3 * P; ++e) (&out.fixed[v][k].v[0][0])[e] += weight[traced[j]][k] * (&radiance.v[0][0])[e];
+      }
     }
     // So that an open sky has exactly its integral.
     const float scale = total > 0 ? pi_f * (1 - specular * mean_specular_albedo(roughness)) / total : 0.0f;

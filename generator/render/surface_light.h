@@ -37,14 +37,16 @@ struct SurfaceLight {
 SurfaceLight gather_light(const Scene& scene, const Lights& lights, const Accel& accel);
 
 // Coats as path_kernel.h pads them, and a call with that number as a constant.
-constexpr int padded_coats(int coats) { return coats <= 1 ? 1 : coats <= 4 ? 4 : coats <= 12 ? 12 : 32; }
+inline constexpr int most_coats = 128;
+constexpr int padded_coats(int coats) { return coats <= 8 ? 8 : coats <= 16 ? 16 : coats <= 32 ? 32 : coats <= 64 ? 64 : most_coats; }
 template <class Body>
 void with_padded_coats(int coats, const Body& body) {
   switch (padded_coats(coats)) {
-    case 1: return body.template operator()<1>();
-    case 4: return body.template operator()<4>();
-    case 12: return body.template operator()<12>();
-    default: return body.template operator()<32>();
+    case 8: return body.template operator()<8>();
+    case 16: return body.template operator()<16>();
+    case 32: return body.template operator()<32>();
+    case 64: return body.template operator()<64>();
+    default: return body.template operator()<most_coats>();
   }
 }
 

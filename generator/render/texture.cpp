@@ -97,37 +97,67 @@ void build_stack(Paint& paint, const std::vector<const Image8*>& images) {
   for (const Image8* im : images) check(im->width == w && im->height == h && im->channels >= 3, "a paint stack wants equal images");
   paint.stack_width = w;
   paint.stack_height = h;
-  paint.stack.resize(static_cast<std::size_t>(w) * h * 3 * n);
+  paint.stack.assign(static_cast<std::size_t>(w) * h * 3 * n + 8, 0);
   std::size_t out = 0;
   for (std::size_t p = 0; p < static_cast<std::size_t>(w) * h; ++p)
     for (int c = 0; c < 3; ++c)
       for (int t = 0; t < n; ++t) paint.stack[out++] = images[t]->data[p * images[t]->channels + c];
 }
 
+namespace {
+
+const std::uint8_t* stacked_texel(const Paint& paint, const vec2& uv, const vec2& xi) {
+  const glm::ivec2 texel = choose_texel(paint.stack_placement, paint.stack_width, paint.stack_height, uv, xi);
+  return &paint.stack[(static_cast<std::size_t>(texel.y) * paint.stack_width + texel.x) * 3 * paint.coats.size()];
+}
+
+vec3 single_paint(const Paint::PerCoat& coat, const std::vector<std::shared_ptr<const Texture>>& textures, const vec2& uv,
+                  const vec3& vertex_color, const vec2& xi) {
+  const auto& srgb = srgb_table();
+  vec3 color = coat.factor;
+  if (coat.texture >= 0) {
+    const Texture& tex = *textures[coat.texture];
+    const glm::ivec2 texel = choose_texel(tex.placement, tex.image.width, tex.image.height, uv, xi);
+    const std::uint8_t* s = &tex.image.data[tex.image.index(texel.x, texel.y)];
+    // One and two channels are grey and grey with alpha.
+    color *= tex.image.channels >= 3 ? vec3(srgb[s[0]], srgb[s[1]], srgb[s[2]]) : vec3(srgb[s[0]]);
+  }
+  return coat.vertex_colors ? color * vertex_color : color;
+}
+
+}  // namespace
+
 void fetch_paint(const Paint& paint, const std::vector<std::shared_ptr<const Texture>>& textures, const vec2& uv, const vec3& vertex_color,
                  const vec2& xi, int stride, float* base) {
-  const auto& srgb = srgb_table();
   const int n = static_cast<int>(paint.coats.size());
   if (!paint.stack.empty()) {
-    const glm::ivec2 texel = choose_texel(paint.stack_placement, paint.stack_width, paint.stack_height, uv, xi);
-    const std::uint8_t* s =
-        &paint.stack[(static_cast<std::size_t>(texel.y) * paint.stack_width + texel.x) * 3 * n];
+    const auto& srgb = srgb_table();
+    const std::uint8_t* s = stacked_texel(paint, uv, xi);
     for (int c = 0; c < 3; ++c)
       for (int t = 0; t < n; ++t) base[c * stride + t] = srgb[*s++];
     return;
   }
   for (int t = 0; t < n; ++t) {
-    const Paint::PerCoat& coat = paint.coats[t];
-    vec3 color = coat.factor;
-    if (coat.texture >= 0) {
-      const Texture& tex = *textures[coat.texture];
-      const glm::ivec2 texel = choose_texel(tex.placement, tex.image.width, tex.image.height, uv, xi);
-      const std::uint8_t* s = &tex.image.data[tex.image.index(texel.x, texel.y)];
-      // One and two channels are grey and grey with alpha.
-      color *= tex.image.channels >= 3 ? vec3(srgb[s[0]], srgb[s[1]], srgb[s[2]]) : vec3(srgb[s[0]]);
-    }
-    if (coat.vertex_colors) color *= vertex_color;
+    const vec3 color = single_paint(paint.coats[t], textures, uv, vertex_color, xi);
     for (int c = 0; c < 3; ++c) base[c * stride + t] = color[c];
+  }
+}
+
+PaintPoint find_paint(const Paint& paint, const vec2& uv, const vec3& vertex_color, const vec2& xi) {
+  PaintPoint p{&paint, nullptr, uv, xi, vertex_color};
+  if (paint.stack.empty()) return p;
+  p.texel = stacked_texel(paint, uv, xi);
+  const std::size_t bytes = 3 * paint.coats.size();
+  for (std::size_t i = 0; i < bytes; i += 64) __builtin_prefetch(p.texel + i);
+  __builtin_prefetch(p.texel + bytes - 1);
+  return p;
+}
+
+void fetch_single_paints(const PaintPoint& p, const std::vector<std::shared_ptr<const Texture>>& textures, int first, float (*base)[8]) {
+  const int n = static_cast<int>(p.paint->coats.size());
+  for (int i = 0; i < 8; ++i) {
+    const vec3 color = first + i < n ? single_paint(p.paint->coats[first + i], textures, p.uv, p.vertex_color, p.xi) : vec3(0);
+    for (int c = 0; c < 3; ++c) base[c][i] = color[c];
   }
 }
 

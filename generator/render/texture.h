@@ -45,7 +45,7 @@ struct Paint {
   // When all coats are textures of one size and placement: their texels side by side, [y][x][channel][coat], so that
   // one look-up reads one run of memory. Then PerCoat::texture is not looked at.
   int stack_width = 0, stack_height = 0;
-  std::vector<std::uint8_t> stack;  // sRGB
+  std::vector<std::uint8_t> stack;  // sRGB; eight more bytes than texels, so that eight coats can be read anywhere
   TexturePlacement stack_placement;
 };
 
@@ -55,5 +55,17 @@ void build_stack(Paint& paint, const std::vector<const Image8*>& images);
 // base[c * stride + t] = linear base colour, channel c, coat t. `xi` as in choose_texel.
 void fetch_paint(const Paint& paint, const std::vector<std::shared_ptr<const Texture>>& textures, const vec2& uv, const vec3& vertex_color,
                  const vec2& xi, int stride, float* base);
+
+// Where a paint is read: the same for all coats, whose colours are fetched from there, eight at a time.
+struct PaintPoint {
+  const Paint* paint = nullptr;
+  const std::uint8_t* texel = nullptr;  // of the stack, if there is one; on its way into the cache
+  vec2 uv{0}, xi{0};
+  vec3 vertex_color{1};
+};
+PaintPoint find_paint(const Paint& paint, const vec2& uv, const vec3& vertex_color, const vec2& xi);
+
+// Of the coats first .. first + 7 without a stack: base[c][i], 0 beyond the last coat.
+void fetch_single_paints(const PaintPoint& p, const std::vector<std::shared_ptr<const Texture>>& textures, int first, float (*base)[8]);
 
 }  // namespace moomill

@@ -294,11 +294,11 @@ TEST_CASE("green of a normal map leans the surface towards -v, as glTF has it, a
   }
 }
 
-TEST_CASE("a coat alone equals the same coat in a batch of twelve, bit for bit, on one thread and on two") {
+TEST_CASE("a coat alone equals the same coat in a batch of twelve and of any other size, bit for bit, on one thread and on two") {
   const Surface ball = sphere_surface(30, 60);
   std::mt19937 random(1);
   std::vector<Image8> textures;
-  for (int t = 0; t < 12; ++t) {
+  for (int t = 0; t < most_coats; ++t) {
     Image8 im(64, 32, 3);
     for (auto& v : im.data) v = static_cast<std::uint8_t>(random());
     textures.push_back(im);
@@ -344,6 +344,15 @@ TEST_CASE("a coat alone equals the same coat in a batch of twelve, bit for bit, 
   CHECK(batch.coats[0].data != batch.coats[1].data);
   const Radiance single = render(all, true, 1);
   for (int c = 0; c < 12; ++c) CHECK(single.coats[c].data == batch.coats[c].data);
+  // Other sizes, in another order: every padding, with and without lanes to spare.
+  for (const int n : {7, 8, 9, 17, 32, 40, 64, 101, most_coats}) {
+    std::vector<int> turned(n);
+    for (int i = 0; i < n; ++i) turned[i] = (i + n - 5) % n;
+    const Radiance more = render(turned, n != 40, 2);
+    CAPTURE(n);
+    for (int i = 0; i < n; ++i)
+      if (turned[i] < 12) CHECK(more.coats[i].data == batch.coats[turned[i]].data);
+  }
 }
 
 TEST_CASE("a target error is met, by samples that no coat has a say in") {

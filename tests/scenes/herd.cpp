@@ -181,7 +181,9 @@ TEST_CASE("what a herd cannot be is refused") {
 }
 
 TEST_CASE("more coats than are shaded at once come in batches; a coat's picture does not depend on them") {
-  const SceneSpec herd = scene_of(herd_scene("{ breed = \"holstein\", count = 40, seed = 7 }"));
+  SceneSpec herd = scene_of(herd_scene("{ breed = \"holstein\", count = 40, seed = 7 }"));
+  CHECK(plan_batches(herd).coats == 40);
+  herd.render.memory_mb = 8 * 3 * 64 * 64 * 32.5 / 1e6;
   const Mill mill(herd);
   const Frame frame = mill.prepare(1);
   CHECK(mill.batches() == 2);

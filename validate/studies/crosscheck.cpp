@@ -164,7 +164,7 @@ Prepared prepare(const SceneSpec& scene, const CrosscheckOptions& options) {
   Prepared p;
   const int frame = spec.frames.front();
   p.mill = std::make_unique<Mill>(std::move(spec));
-  if (p.mill->batches() != 1) input_error("--coats: at most 32 coats are compared at a time, and as many as render.memory_mb holds; name fewer");
+  if (p.mill->batches() != 1) input_error("--coats: more coats than are shaded at once (128, fewer where render.memory_mb is small); name fewer");
   p.frame = p.mill->prepare(frame);
   p.dressed = p.mill->dress(p.frame, 0);
   return p;
