@@ -3,9 +3,9 @@
 #include <embree3/rtcore.h>
 #include <tbb/task_arena.h>
 
+#include <algorithm>
 #include <atomic>
 #include <cstddef>
-#include <cstring>
 
 #include "generator/core/error.h"
 
@@ -92,7 +92,7 @@ struct Accel::State {
   void copy_positions(std::size_t i) {
     const auto& p = scene->instances[i].posed.positions;
     void* to = rtcGetGeometryBufferData(geometries[i], RTC_BUFFER_TYPE_VERTEX, 0);
-    std::memcpy(to, p.data(), p.size() * sizeof(vec3));
+    std::copy(p.begin(), p.end(), static_cast<vec3*>(to));  // of nothing, too, where memcpy wants no null
   }
 };
 
@@ -115,7 +115,7 @@ Accel::Accel(const Scene& scene, BuildKind kind) : state_(std::make_unique<State
     rtcSetNewGeometryBuffer(g, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, sizeof(vec3), instance.posed.positions.size());
     void* indices = rtcSetNewGeometryBuffer(g, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, sizeof(uvec3), surface.triangles.size());
     check_device("geometry buffers");
-    std::memcpy(indices, surface.triangles.data(), surface.triangles.size() * sizeof(uvec3));
+    std::copy(surface.triangles.begin(), surface.triangles.end(), static_cast<uvec3*>(indices));
     s.copy_positions(i);
     rtcSetGeometryMask(g, animal_mask(instance.animal));
     s.filters[i] = {&scene, &instance};
