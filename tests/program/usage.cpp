@@ -107,6 +107,10 @@ TEST_CASE("a wrong scene file") {
   check_usage_error("plan " + scene("syntax.toml", "seed = \n"), "syntax.toml:1:");
   check_usage_error("plan " + scene("species.toml", "[[animals]]\nspecies = \"cwo\"\n"),
                     "species.toml:2: there is no species 'cwo'");
+  const std::string turning = "[[animals]]\nspecies = \"cow\"\n[light]\nenvironment_strength = {uniform = [1, 2], per = \"view\"}\n";
+  const std::string per_view = "light.environment_strength is drawn per view, but render.surface_light gathers light once per frame";
+  check_usage_error("plan " + scene("turning.toml", turning + "[render]\nsurface_light = true\n"), per_view);
+  check_usage_error("generate " + scene("turning.toml", turning) + " --surface-light -o x", per_view);
 }
 
 TEST_CASE("options that the scene cannot follow") {
