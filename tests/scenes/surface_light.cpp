@@ -64,7 +64,7 @@ TEST_CASE("light gathered once per frame wants lights that stay for the frame") 
   CHECK(small("depth", "[light]\nenvironment_strength = {uniform = [1, 2], per = \"view\"}\n").light.environment_strength.per_view);
 }
 
-TEST_CASE("shares of the sky are computed where an even sky lights a picture, light is gathered where the scene asks") {
+TEST_CASE("shares of the sky are computed where an even sky lights a picture") {
   const auto geometry = [](const SceneSpec& s) {
     const Mill mill(s);
     return mill.prepare(1).geometry;
@@ -73,10 +73,5 @@ TEST_CASE("shares of the sky are computed where an even sky lights a picture, li
   REQUIRE(even->sky.size() == even->scene.instances.size());
   CHECK(even->sky[0].size() == even->scene.instances[0].posed.positions.size());
   CHECK(geometry(small("depth"))->sky.empty());
-  CHECK(geometry(small("depth", "[render]\nsurface_light = true\n"))->sky.empty());
   CHECK(geometry(small("rgb", "[light]\nenvironment_file = \"one.hdr\"\n"))->sky.empty());
-
-  // Gathering it takes longer than a test may: tests/render/surface_light.cpp does, on small bodies.
-  const Mill mill(small("rgb"));
-  CHECK(mill.dress(mill.prepare(1), 0)->light == nullptr);
 }
