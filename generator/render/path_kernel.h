@@ -39,6 +39,22 @@ struct ShadingPoint {
   bool front = true;  // met on the side that its normals point to
 };
 
+// Cancelling faces may leave a vertex without a normal: nothing is held around it.
+inline bool have_normals(const Instance& in, const uvec3& t) {
+  for (int k = 0; k < 3; ++k)
+    if (!(glm::dot(in.posed.normals[t[k]], in.posed.normals[t[k]]) > 1e-12f)) return false;
+  return true;
+}
+
+// Whether a surface is met on the side that its normals point to, the one that holds light.
+inline bool met_in_front(const Scene& scene, const SurfaceHit& hit, const vec3& wo) {
+  const Instance& in = scene.instances[hit.instance];
+  const uvec3 t = in.surface->triangles[hit.triangle];
+  const vec3 p0 = in.posed.positions[t[0]], face = glm::cross(in.posed.positions[t[1]] - p0, in.posed.positions[t[2]] - p0);
+  const vec3 n = (1.0f - hit.u - hit.v) * in.posed.normals[t[0]] + hit.u * in.posed.normals[t[1]] + hit.v * in.posed.normals[t[2]];
+  return (glm::dot(face, wo) > 0) == (glm::dot(face, n) > 0) && have_normals(in, t);
+}
+
 // False for a triangle without area: it reflects nothing.
 inline bool shading_point(const Scene& scene, const SkyShares* sky, const SurfaceHit& hit, const vec3& wo, ShadingPoint& out) {
   const Instance& in = scene.instances[hit.instance];
@@ -56,7 +72,7 @@ inline bool shading_point(const Scene& scene, const SkyShares* sky, const Surfac
   n = length > 1e-6f ? n / length : out.geometric;
   out.uv = s.uvs.empty() ? vec2(0) : w * s.uvs[t[0]] + u * s.uvs[t[1]] + v * s.uvs[t[2]];
   if (!s.colors.empty()) out.vertex_color = w * s.colors[t[0]] + u * s.colors[t[1]] + v * s.colors[t[2]];
-  out.front = (glm::dot(out.geometric, wo) > 0) == (glm::dot(out.geometric, n) > 0);
+  out.front = (glm::dot(out.geometric, wo) > 0) == (glm::dot(out.geometric, n) > 0) && have_normals(in, t);
   if (sky && out.front) {
     const std::vector<float>& share = (*sky)[hit.instance];
     out.sky = w * share[t[0]] + u * share[t[1]] + v * share[t[2]];
@@ -390,7 +406,7 @@ inline void trace_paths(const Tracer& t, const PixelSampler& sampler, std::uint3
       Bsdf::Value f = bsdf[l].value(wi);
       if (held[l]) {
         f.response = {f.response.a, 0, 0};
-        f.pdf = held_highlights * f.specular_pdf;
+        f.pdf = f.response.a > 0 ? held_highlights * f.specular_pdf : 0.0f;
       }
       if (!(f.pdf > 0)) continue;
       const vec3 direction = frame[l].to_world(wi);

@@ -186,7 +186,7 @@ Gathered<P> gather_instance(const Tracer& t, const std::vector<bool>& holds, std
           continue;
         }
         const SurfaceHit hit{rays.instance[i], rays.triangle[i], rays.u[i], rays.v[i], rays.far[i]};
-        if (holds[hit.instance]) {
+        if (holds[hit.instance] && met_in_front(t.scene, hit, -frame.to_world(local[i]))) {
           out.met[v].push_back({hit, first + i});
           continue;
         }
