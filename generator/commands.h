@@ -72,7 +72,7 @@ struct ConvergeCommand {
   std::string scene, out, against;
   SceneOptions options;  // what is empty is chosen small: one frame, three cameras, two coats, 160 pixels wide
   std::string target_errors;  // "0.1,0.05": measured instead of sample counts
-  int max_samples = 1024, repetitions = 3, reference_samples = 0, threads = 0, at_samples = 64;
+  int min_samples = 1, max_samples = 1024, repetitions = 3, reference_samples = 0, threads = 0, at_samples = 64;
   double slope_at_most = -0.97;
   bool enforce = false;  // exit status 1 where a figure misses its bound
 };

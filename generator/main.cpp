@@ -16,7 +16,7 @@ void add_scene_options(CLI::App* app, SceneOptions& o) {
   app->add_option("--modalities", o.modalities, "these instead of the scene's, or all")->type_name("rgb,depth");
   app->add_option("--resolution", o.resolution, "of the pictures")->type_name("WxH");
   app->add_option("--spp", o.samples, "samples per pixel")->type_name("N");
-  app->add_option("--target-error", o.target_error, "relative error of the pictures, instead of --spp: 0.02 is smooth to the eye")->type_name("E");
+  app->add_option("--target-error", o.target_error, "relative error of the pictures, 0.001 to 1, instead of --spp: 0.02 is smooth to the eye")->type_name("E");
   app->add_flag("--surface-light", o.surface_light, "gather light on the animals once per frame: faster, with a small bias");
 }
 
@@ -121,6 +121,7 @@ int run(int argc, char** argv) {
   c->add_option("--cameras", converge.options.cameras, "camera ids; default: three spread over the scene's")->type_name("0,2,5:7");
   c->add_option("--coats", converge.options.coats, "coat indices; default: the scene's first and last")->type_name("0,11");
   c->add_option("--resolution", converge.options.resolution, "of the pictures; default: 160 pixels wide")->type_name("WxH");
+  c->add_option("--min-spp", converge.min_samples, "measure from so many samples on; default 1")->type_name("N")->check(CLI::Range(1, 65536));
   c->add_option("--max-spp", converge.max_samples, "measure 1, 2, 4, ... samples per pixel up to this; default 1024")->type_name("N")->check(CLI::Range(1, 65536));
   c->add_option("--repeats", converge.repetitions, "of every sample count, with independent samples; default 3")->type_name("N")->check(CLI::Range(1, 1000));
   c->add_option("--reference-spp", converge.reference_samples, "of the references; default 16 times --max-spp")->type_name("N")->check(CLI::Range(2, largest_samples));

@@ -47,6 +47,8 @@ int run_converge(const ConvergeCommand& command, std::atomic<bool>& stop) {
   SceneSpec scene = read_scene(command.scene);
   apply_overrides(scene, parse_overrides(command.options));
   ConvergeOptions options;
+  if (command.min_samples > command.max_samples) input_error("--min-spp {}: more than --max-spp {}; nothing would be measured", command.min_samples, command.max_samples);
+  options.min_samples = command.min_samples;
   options.max_samples = command.max_samples;
   options.repetitions = command.repetitions;
   options.reference_samples = command.reference_samples;
@@ -55,7 +57,7 @@ int run_converge(const ConvergeCommand& command, std::atomic<bool>& stop) {
     for (const std::string& word : parse_words("--target-errors", command.target_errors)) {
       char* end = nullptr;
       const double e = std::strtod(word.c_str(), &end);
-      if (*end != 0 || !(e > 0) || e > 1) input_error("--target-errors: '{}' is no relative error; above 0 and at most 1, e.g. 0.1,0.05", word);
+      if (*end != 0 || !(e >= least_target_error) || e > 1) input_error("--target-errors: '{}' is no relative error from {} to 1; write e.g. 0.1,0.05", word, least_target_error);
       options.target_errors.push_back(e);
     }
   options.stop = &stop;

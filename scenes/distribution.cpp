@@ -126,6 +126,8 @@ void for_each_distribution(const SceneSpec& scene, const std::function<void(cons
 
 void check_surface_light(const SceneSpec& scene) {
   if (!scene.render.surface_light) return;
+  if (scene.render.max_bounces > 0)
+    input_error("{}: render.surface_light gathers light of any number of bounces; leave render.max_bounces = {} out, or surface_light", scene.file, scene.render.max_bounces);
   for_each_distribution(scene, [&](const Distribution& d) {
     if (d.per_view && d.key.starts_with("light."))
       input_error("{}: {} is drawn per view, but render.surface_light gathers light once per frame; draw it per frame or leave surface_light out", scene.file, d.key);

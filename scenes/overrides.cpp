@@ -101,7 +101,8 @@ void apply_overrides(SceneSpec& scene, const Overrides& o) {
   if (o.samples && !o.target_error) scene.render.target_error = 0;  // the samples asked for, not what an error needs
   if (o.target_error) {
     if (o.samples) input_error("--target-error and --spp: samples follow from the error; name one of the two");
-    if (!(*o.target_error > 0) || *o.target_error > 1) input_error("--target-error: {} is no relative error; above 0 and at most 1, e.g. 0.01", *o.target_error);
+    if (!(*o.target_error >= least_target_error) || *o.target_error > 1)
+      input_error("--target-error: {} is not possible; from {} to 1, e.g. 0.02", *o.target_error, least_target_error);
     scene.render.target_error = *o.target_error;
   }
   if (o.surface_light) scene.render.surface_light = *o.surface_light;

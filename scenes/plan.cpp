@@ -141,7 +141,9 @@ std::vector<Stage> stages_of(const SceneSpec& scene, const Counts& n, const Spec
   add("Embree hierarchy", traced, "once per pose", "nothing is traced");
   add("first hits", !hits.empty(), "for " + hits, "no chosen modality needs the pixel-centre rays");
   add("path tracing", !light.empty(),
-      fmt::format("{} samples per pixel, {}", scene.render.samples,
+      fmt::format("{}, {}", scene.render.target_error > 0
+                               ? fmt::format("samples for a relative error of {} (the time below is of {} samples per pixel)", scene.render.target_error, scene.render.samples)
+                               : fmt::format("{} samples per pixel", scene.render.samples),
                   scene.render.max_bounces > 0 ? fmt::format("at most {} bounces", scene.render.max_bounces)
                                                : "no cap on bounces"),
       no_light);

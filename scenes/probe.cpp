@@ -149,7 +149,7 @@ ProbeReport probe(const SceneSpec& scene, double seconds) {
     std::shared_ptr<const Dressed> dressed;
     if (light) frame_time += batches * measure([&] { dressed = mill.dress(frame, 0); }).processor;  // and light held on the surface, where asked for
     if (light && round == 0) {
-      const auto trace = [&](int s) { return measure([&] { mill.trace_coats(frame, frame.cameras[0], *dressed, {s, 1}); }).processor; };
+      const auto trace = [&](int s) { return measure([&] { mill.trace_coats(frame, frame.cameras[0], *dressed, {s, 0, 1}); }).processor; };
       const double first = trace(1), again = trace(1);  // the first also reads the environment map
       out.start.processor += std::max(0.0, first - again);
       out.start.elapsed += std::max(0.0, first - again);

@@ -378,6 +378,7 @@ View Mill::trace_labels(const Frame& frame, const CameraRecord& record) const {
 int Mill::batches() const { return loaded_->wardrobe->batches(); }
 
 std::shared_ptr<const Dressed> Mill::dress(const Frame& frame, int batch) const {
+  set_float_state();
   const Wardrobe& wardrobe = *loaded_->wardrobe;
   auto out = std::make_shared<Dressed>();
   out->scene = frame.geometry->scene;

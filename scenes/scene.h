@@ -168,6 +168,7 @@ bool is_scene_file(const std::filesystem::path& file);  // a TOML file with [[an
 
 inline constexpr int largest_resolution = 16384;  // pixels a side
 inline constexpr int largest_samples = 1 << 20;   // per pixel
+inline constexpr double least_target_error = 1e-3;  // what 4096 samples reach of an animal in sunlight
 
 // By name, as in the modality table, or "all"; InputError lists them and suggests the nearest.
 ModalitySet modalities_from_names(const std::vector<std::string>& names);
@@ -190,7 +191,7 @@ void apply_overrides(SceneSpec& scene, const Overrides& overrides);  // InputErr
 Json scene_to_json(const SceneSpec& scene);
 
 // Calls visit(d) for every distribution of the scene.
-// InputError where light is to be gathered once per frame and yet differs between its views.
+// InputError where light is to be gathered once per frame and yet differs between its views, or has a cap on bounces.
 void check_surface_light(const SceneSpec& scene);
 void for_each_distribution(const SceneSpec& scene, const std::function<void(const Distribution&)>& visit);
 // The values drawn for one frame, by key (per view: a list in the order of `cameras`), for FrameRecord::drawn.

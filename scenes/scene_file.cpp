@@ -490,6 +490,8 @@ class SceneReader {
     r.max_bounces = static_cast<int>(t->integer("max_bounces", r.max_bounces, 0, 1000));
     r.filter_radius = t->number("filter_radius", r.filter_radius, 0.5, 8);
     r.target_error = t->number("target_error", r.target_error, 0, 1);
+    if (r.target_error > 0 && r.target_error < least_target_error)
+      input_error("{}: render.target_error is {}; 0 for none, or from {} to 1", scene_.file, r.target_error, least_target_error);
     r.surface_light = t->boolean("surface_light", r.surface_light);
     r.memory_mb = t->number("memory_mb", r.memory_mb, 64, 1e7);
     r.coat_resolution = static_cast<int>(t->integer("coat_resolution", r.coat_resolution, 16, 16384));

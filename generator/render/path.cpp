@@ -44,6 +44,13 @@ struct SamplePlaces {
       for (float& w : weight) w /= static_cast<float>(std::sqrt(total));
   }
   int samples() const { return static_cast<int>(position.size()); }
+  // What the samples of a pixel weigh together in the one `column`, `row` pixels from it.
+  double total(int column, int row) const {
+    const int side = 2 * reach + 1;
+    double sum = 0;
+    for (int s = 0; s < samples(); ++s) sum += static_cast<double>(of(s)[column + reach]) * of(s)[side + row + reach];
+    return sum / samples();
+  }
   const float* of(int sample) const { return &weight[2 * static_cast<std::size_t>(sample) * (2 * reach + 1)]; }
 };
 
@@ -236,6 +243,32 @@ float PixelFilter::weight(float distance) const {
 
 namespace {
 
+// Where tiles of different sample counts meet, what a pixel receives from both does not add up to 1: divides by what it adds up to.
+void even_out_borders(const Tiles& tiles, const PixelMask& mask, Radiance& out) {
+  const int reach = tiles.reach, side = 2 * reach + 1;
+  std::vector<double> total;  // by place, row, column
+  for (const SamplePlaces& p : tiles.places)
+    for (int row = -reach; row <= reach; ++row)
+      for (int column = -reach; column <= reach; ++column) total.push_back(p.total(column, row));
+  const auto place_at = [&](int x, int y) { return tiles.place[static_cast<std::size_t>(y / tile) * tiles.across + x / tile]; };  // of the rimmed image
+  parallel_for(mask.height, 8, [&](std::size_t row_index) {
+    const int y = static_cast<int>(row_index);
+    for (int x = 0; x < mask.width; ++x) {
+      if (!mask.get(x, y)) continue;
+      // The corners of what reaches the pixel: a tile is no narrower than that.
+      const int first = place_at(x, y);
+      if (place_at(x + 2 * reach, y) == first && place_at(x, y + 2 * reach) == first && place_at(x + 2 * reach, y + 2 * reach) == first) continue;
+      double sum = 0;
+      for (int j = -reach; j <= reach; ++j)
+        for (int i = -reach; i <= reach; ++i)  // from the pixel i, j away, to which this one is -i, -j away
+          sum += total[(static_cast<std::size_t>(place_at(x + reach + i, y + reach + j)) * side + reach - j) * side + reach - i];
+      const auto scale = static_cast<float>(1 / sum);
+      for (ImageF& coat : out.coats)
+        for (int k = 0; k < 4; ++k) coat.at(x, y, k) *= scale;
+    }
+  });
+}
+
 constexpr int pilot_samples = 4, least_samples = 4, most_samples = 4096;  // the pilot's of each of two halves
 
 // The scene in a white and a black coat.
@@ -330,6 +363,7 @@ Radiance trace_radiance(const Scene& scene, const Lights& lights, const Accel& a
   else
     tiles.places.emplace_back(filter, options.stream, options.samples);
   with_padded_coats(scene.appearance->coat_count, [&]<int P>() { trace_tiles<P>(tracer, camera, mask, tiles, out); });
+  if (options.target_error > 0 && tiles.reach > 0) even_out_borders(tiles, mask, out);
   return out;
 }
 

@@ -413,3 +413,33 @@ TEST_CASE("a target error is met, by samples that no coat has a say in") {
   const Radiance batch = render(coats, 0.05, 1, 7);
   for (std::size_t c = 0; c < coats.size(); ++c) CHECK(render({coats[c]}, 0.05, 1, 7).coats[0].data == batch.coats[c].data);
 }
+
+TEST_CASE("even areas stay even where tiles of different sample counts meet") {
+  // A white plate under an even sky, with a ball on it whose shadow takes more samples than the rest.
+  const Surface ball = sphere_surface(30, 60, 0.5f), plate = plate_surface({-20, -20, -0.4f}, {40, 0, 0}, {0, 40, 0});
+  auto a = std::make_shared<Appearance>();
+  add_material(*a, 1, 0, {vec3(0.8f)});
+  Scene scene;
+  scene.appearance = a;
+  scene.instances = {instance_of(ball, 0, 0), instance_of(plate, 0, 0)};
+  Lights lights;
+  lights.environment = std::make_shared<Environment>(vec3(1.0f));
+  lights.suns.push_back({glm::normalize(vec3(1, 0.3f, 0.5f)), vec3(4), 0.2f});
+  lights.prepare(vec3(0));
+  const Accel accel(scene);
+  const Camera camera = look_at({0.01, 0, 12}, {0, 0, 0}, 200, 128, 128);
+  PixelMask all(128, 128);
+  all.fill();
+  PathOptions o;
+  o.target_error = 0.05;
+  const Radiance r = trace_radiance(scene, lights, accel, camera, all, o);
+  double least = 1, most = 0;
+  for (std::size_t p = 0; p < 128 * 128; ++p) {
+    least = std::min<double>(least, r.coats[0].data[4 * p + 3]);
+    most = std::max<double>(most, r.coats[0].data[4 * p + 3]);
+  }
+  // Without the division by what a pixel receives, borders of 4 and 16 samples would be up to 6 % off.
+  CHECK(least == doctest::Approx(1).epsilon(1e-5));
+  CHECK(most == doctest::Approx(1).epsilon(1e-5));
+  CHECK(r.paths > 1.2 * 128 * 128 * (8 + 4));  // not all tiles at the least
+}

@@ -159,7 +159,7 @@ Convergence measure_convergence(const SceneSpec& scene, const ConvergeOptions& o
   std::vector<Resampling> measured;
   for (const double e : options.target_errors) measured.push_back({0, e});
   if (measured.empty())
-    for (int n = 1; n <= options.max_samples; n *= 2) measured.push_back({n});
+    for (int n = options.min_samples; n <= options.max_samples; n *= 2) measured.push_back({n});
 
   const Mill mill(spec);
   std::size_t total = 0, done = 0;
@@ -172,6 +172,7 @@ Convergence measure_convergence(const SceneSpec& scene, const ConvergeOptions& o
   };
 
   Convergence out;
+  std::map<double, std::vector<std::size_t>, std::greater<>> of_target;  // rows
   for (const int number : spec.frames) {
     const Prepared prepared = prepare(mill, number, options.cameras_per_frame);
     total = spec.frames.size() * prepared.frame.cameras.size() * per_view;
@@ -197,17 +198,29 @@ Convergence measure_convergence(const SceneSpec& scene, const ConvergeOptions& o
       for (int r = 0; r < options.repetitions; ++r)
         for (const Resampling& asked : measured) {
           Resampling again = asked;
-          again.repetition = repetition_key(asked.samples > 0 ? asked.samples : static_cast<int>(1e6 * asked.target_error), r);
+          again.repetition = repetition_key(asked.samples > 0 ? asked.samples : -static_cast<int>(1e6 * asked.target_error), r);
           const Pictures pictures = render(mill, prepared, camera, again);
           const int n = asked.samples > 0 ? asked.samples : std::max(1, static_cast<int>(std::lround(pictures.samples)));
-          for (const auto& [coat, picture] : pictures.of_coat) {
-            const Times& t = pictures.times.at(coat);
-            out.rows.push_back({"moomill", number, camera.id, coat, n, t.seconds, t.core_seconds,
-                                picture_error(picture, references.at(coat).picture, mask)});
+          std::vector<int> coats;
+          for (const auto& [coat, picture] : pictures.of_coat) coats.push_back(coat);
+          std::vector<PictureError> errors(coats.size());
+          parallel_for(coats.size(), 1, [&](std::size_t i) { errors[i] = picture_error(pictures.of_coat.at(coats[i]), references.at(coats[i]).picture, mask); });
+          for (std::size_t i = 0; i < coats.size(); ++i) {
+            const Times& t = pictures.times.at(coats[i]);
+            if (asked.target_error > 0) of_target[asked.target_error].push_back(out.rows.size());
+            out.rows.push_back({"moomill", number, camera.id, coats[i], n, t.seconds, t.core_seconds, errors[i]});
           }
           tell(asked.samples, fmt::format("camera {}", camera.id));
         }
     }
+  }
+  // Rows of one target have one number of samples, their mean, and no two targets the same: points of a curve.
+  int last = 0;
+  for (const auto& [target, rows] : of_target) {
+    double sum = 0;
+    for (const std::size_t i : rows) sum += out.rows[i].samples;
+    last = std::max(last + 1, static_cast<int>(std::lround(sum / static_cast<double>(rows.size()))));
+    for (const std::size_t i : rows) out.rows[i].samples = last;
   }
   return out;
 }

@@ -38,7 +38,8 @@ std::string convergence_csv(const std::vector<ConvergenceRow>& rows);
 std::vector<ConvergenceRow> read_convergence(const std::filesystem::path& file_or_folder);
 
 struct ConvergeOptions {
-  int max_samples = 1024;      // measured: 1, 2, 4, ... up to it
+  int min_samples = 1;         // measured: so many, twice, four times, ...
+  int max_samples = 1024;      // ... up to it
   std::vector<double> target_errors;  // measured instead, if any; `samples` of a row is then their mean number, rounded
   int repetitions = 3;         // of every sample count, each with samples of its own
   int reference_samples = 0;   // 0: 16 times max_samples

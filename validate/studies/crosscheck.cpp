@@ -274,7 +274,7 @@ StudyResult crosscheck(const SceneSpec& scene, const CrosscheckOptions& options)
 
     for (const CheckedSurface surface : surfaces) {
       const auto start = std::chrono::steady_clock::now();
-      const View view = p.mill->trace_coats(p.frame, camera, with_surface(*p.dressed, surface));
+      const View view = p.mill->trace_coats(p.frame, camera, with_surface(*p.dressed, surface), {samples, 0, 0, true});  // paths alone, as many samples as Cycles
       totals.our_seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
       for (const int coat : coats) {
         const char* name = name_of(surface);
