@@ -102,7 +102,7 @@ Paint constant_paint(const vec3& color, int coats) {
 }  // namespace
 
 BatchPlan plan_batches(const SceneSpec& scene) {
-  // Light held by vertices takes 60 numbers a vertex and coat while it is gathered: batches stay small.
+  // Light held by vertices takes 39 numbers a vertex and coat while it is gathered: batches stay small.
   const double most = scene.render.surface_light ? 32 : most_coats;
   const double memory = scene.render.memory_mb * 1e6, eighth = memory / 8;
   const double resolution = scene.render.coat_resolution, animals = static_cast<double>(scene.animals.size());

@@ -168,7 +168,7 @@ bool is_scene_file(const std::filesystem::path& file);  // a TOML file with [[an
 
 inline constexpr int largest_resolution = 16384;  // pixels a side
 inline constexpr int largest_samples = 1 << 20;   // per pixel
-inline constexpr double least_target_error = 1e-3;  // what 4096 samples reach of an animal in sunlight
+inline constexpr double least_target_error = 1e-3;  // about what 4096 samples, the most, reach of an animal, by extrapolation from 256
 
 // By name, as in the modality table, or "all"; InputError lists them and suggests the nearest.
 ModalitySet modalities_from_names(const std::vector<std::string>& names);

@@ -108,11 +108,14 @@ inline bool shading_point(const Scene& scene, const SkyShares* sky, const Surfac
   return true;
 }
 
-// Where a ray leaving a surface starts: off it by more than the rounding of the hit point.
+// Off the surface along its normal, by more than the rounding of a point on it.
+inline vec3 off_surface(const vec3& position, const vec3& normal) {
+  const vec3 a = glm::abs(position);
+  return position + 4e-6f * std::max(1.0f, std::max({a.x, a.y, a.z})) * normal;
+}
+// Where a ray leaving a surface starts.
 inline vec3 leave(const ShadingPoint& p, const vec3& direction) {
-  const vec3 a = glm::abs(p.position);
-  const float offset = 4e-6f * std::max(1.0f, std::max({a.x, a.y, a.z}));
-  return p.position + (glm::dot(direction, p.geometric) < 0 ? -offset : offset) * p.geometric;
+  return off_surface(p.position, glm::dot(direction, p.geometric) < 0 ? -p.geometric : p.geometric);
 }
 
 struct Counters {
@@ -296,10 +299,6 @@ inline void occluded_rays(const Accel& accel, const Ray* rays, int count, bool c
   for (int i = 0; i < count; ++i) occluded[i] = packet.instance[i] != no_hit;
 }
 
-inline void intersect_rays(const Accel& accel, const Ray* rays, int count, SurfaceHit* hits) {
-  for (int i = 0; i < count; ++i) hits[i] = accel.intersect(rays[i]);
-}
-
 // Traces camera rays that have met the batch's hits; the trails tell their radiance. The estimator per bounce, in solid angle:
 //   lights:  Le f cos / p_light * w_light      (next-event estimation)
 //   BSDF:    Le f cos / p_bsdf  * w_bsdf       (when the sampled ray meets light)
@@ -424,7 +423,7 @@ inline void trace_paths(const Tracer& t, const PixelSampler& sampler, std::uint3
       of[count++] = l;
     }
     SurfaceHit hits[batch_size];
-    intersect_rays(t.accel, rays, count, hits);
+    for (int i = 0; i < count; ++i) hits[i] = t.accel.intersect(rays[i]);
     counters.rays += count;
     alive = 0;
     for (int i = 0; i < count; ++i) {

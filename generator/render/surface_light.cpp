@@ -8,14 +8,10 @@
 namespace moomill {
 namespace {
 
+using namespace kernel;
+
 constexpr std::uint64_t sky_stream = 0x736b79;  // any constant: the vertices' rays are the same in every frame
 constexpr int sky_rays = 16;
-
-// Off the surface by more than the rounding of a vertex.
-vec3 off_surface(const vec3& position, const vec3& normal) {
-  const vec3 a = glm::abs(position);
-  return position + 4e-6f * std::max(1.0f, std::max({a.x, a.y, a.z})) * normal;
-}
 
 }  // namespace
 
@@ -47,8 +43,6 @@ SkyShares sky_shares(const Scene& scene, const Accel& accel) {
 }
 
 namespace {
-
-using namespace kernel;
 
 constexpr std::uint64_t gather_stream = 0x67617468, paint_stream = 0x7061696e, bounce_stream = 0x626f756e;
 constexpr int gather_rays = 256, light_samples = 16, paint_samples = 4, iterations = 6;

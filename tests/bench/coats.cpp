@@ -4,22 +4,16 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <ctime>
 #include <filesystem>
 #include <fstream>
 #include <memory>
 
+#include "generator/core/stage_times.h"
 #include "scenes/runner.h"
 
 using namespace moomill;
 
 namespace {
-
-double processor_seconds() {
-  timespec t{};
-  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &t);
-  return static_cast<double>(t.tv_sec) + 1e-9 * static_cast<double>(t.tv_nsec);
-}
 
 // A herd in one pose, 1024 x 768 with 64 samples, coats of 512 x 512.
 struct Herd {
@@ -40,9 +34,9 @@ struct Herd {
     for (int b = 0; b < mill->batches(); ++b) batches.push_back(mill->dress(frame, b));
   }
   void trace() {
-    const double begin = processor_seconds();
+    const double begin = process_processor_seconds();
     for (const auto& b : batches) benchmark::DoNotOptimize(mill->trace_coats(frame, frame.cameras.at(13), *b).maps.size());
-    seconds.push_back(processor_seconds() - begin);
+    seconds.push_back(process_processor_seconds() - begin);
   }
 };
 

@@ -111,6 +111,9 @@ TEST_CASE("a wrong scene file") {
   const std::string per_view = "light.environment_strength is drawn per view, but render.surface_light gathers light once per frame";
   check_usage_error("plan " + scene("turning.toml", turning + "[render]\nsurface_light = true\n"), per_view);
   check_usage_error("generate " + scene("turning.toml", turning) + " --surface-light -o x", per_view);
+  check_usage_error("generate " + scene("cow.toml", "[[animals]]\nspecies = \"cow\"\n") + " --target-error 0.0001 -o x", "--target-error: 0.0001 is not possible; from 0.001 to 1");
+  check_usage_error("generate " + scene("cow.toml", "[[animals]]\nspecies = \"cow\"\n") + " --target-error 0.02 --spp 8 -o x", "name one of the two");
+  check_usage_error("plan " + scene("cow.toml", "[[animals]]\nspecies = \"cow\"\n[render]\ntarget_error = 1e-5\n"), "render.target_error is 1e-05; 0 for none, or from 0.001 to 1");
 }
 
 TEST_CASE("options that the scene cannot follow") {

@@ -60,6 +60,7 @@ TEST_CASE("light gathered once per frame wants lights that stay for the frame") 
     CHECK(refusal("[light]\nenvironment_strength = {uniform = [1, 2]}\n[[light.suns]]\nazimuth_deg = {uniform = [1, 2]}\n", in_file) == "(no error)");
     CHECK(refusal("[cameras]\nfocal_mm = {uniform = [50, 90], per = \"view\"}\n", in_file) == "(no error)");
   }
+  CHECK(contains(refusal("[render]\nmax_bounces = 2\nsurface_light = true\n", false), "leave render.max_bounces = 2 out, or surface_light"));
   // Without surface_light a light may change with the view.
   CHECK(small("depth", "[light]\nenvironment_strength = {uniform = [1, 2], per = \"view\"}\n").light.environment_strength.per_view);
 }
