@@ -69,7 +69,11 @@ void generate(const SceneSpec& scene, const GenerateOptions& options) {
   tell("loading", 0);
 
   const Mill mill(scene);
-  require_poses(scene, mill);  // before anything is written
+  require_poses(scene, mill);  // before anything is written, and so is a map of the sky read
+  if (mill.batches() > 0 && scene.light.environment_file) {
+    const Frame first = mill.prepare(scene.frames.front());
+    mill.lights(first, first.cameras.front());
+  }
   Manifest manifest = mill.manifest();
   manifest.held_frames = shard_of(manifest.frames, options.shard, options.shards);
   DatasetWriter writer(options.out, manifest, threads);

@@ -1,6 +1,7 @@
 // What scenes that gather light on their animals may ask for, and what others do not compute.
 #include <doctest/doctest.h>
 
+#include "scenes/generate.h"
 #include "scenes/runner.h"
 #include "tests/temporary_file.h"
 
@@ -63,6 +64,21 @@ TEST_CASE("light gathered once per frame wants lights that stay for the frame") 
   CHECK(contains(refusal("[render]\nmax_bounces = 2\nsurface_light = true\n", false), "leave render.max_bounces = 2 out, or surface_light"));
   // Without surface_light a light may change with the view.
   CHECK(small("depth", "[light]\nenvironment_strength = {uniform = [1, 2], per = \"view\"}\n").light.environment_strength.per_view);
+}
+
+TEST_CASE("a sky map that cannot be read is refused before anything is written") {
+  const TemporaryFile file("a.toml", "modalities = [\"rgb\"]\n" + animal + "[light]\nenvironment_file = \"bad.hdr\"\n");
+  std::ofstream(file.folder() / "bad.hdr") << "not a map";
+  SceneSpec s = read_scene(file.path);
+  Overrides o;
+  o.coats = {0};
+  o.resolution = {32, 24};
+  apply_overrides(s, o);
+  s.render.coat_resolution = 64;
+  GenerateOptions options;
+  options.out = file.folder() / "out";
+  CHECK(contains(message_of([&] { generate(s, options); }), "bad.hdr: is not a readable image"));
+  CHECK_FALSE(std::filesystem::exists(options.out));
 }
 
 TEST_CASE("shares of the sky are computed where an even sky lights a picture") {
