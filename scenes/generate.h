@@ -41,10 +41,11 @@ struct ProbeReport {
   Cost baking;              // of all coats
   double frame = 0;         // pose, skin, hierarchy, light held on the surface
   double labels = 0;        // of a picture (frame and camera), all but rgb, with encoding
-  double light = 0;         // of a picture in all coats, at the scene's samples
+  double light = 0;         // of a picture in all coats, at the scene's samples or target error
   double encoding = 0;      // of rgb, of a picture in all coats
   std::size_t views = 0;    // measured: frames times cameras, each in one batch of coats
   int samples = 0;          // per pixel in them: fewer than the scene's where those take too long
+  double wanted_samples = 0;  // per pixel, in the mean, that a target error comes to, its pilot left out; without one, the scene's
   double took = 0;          // the probe, after loading
   double processor_seconds = 0, seconds = 0;  // of the whole run: of all cores together, and elapsed
 };

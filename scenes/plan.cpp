@@ -115,7 +115,7 @@ std::string coats_text(const SceneSpec& scene, const Counts& n) {
                      human_bytes(batch.bytes));
 }
 
-std::vector<Stage> stages_of(const SceneSpec& scene, const Counts& n, const SpeciesSummary& species) {
+std::vector<Stage> stages_of(const SceneSpec& scene, const Counts& n, const SpeciesSummary& species, const ProbeReport* probed) {
   const ModalitySet& m = scene.modalities;
   const std::string light = names_of(m, &ModalityRow::needs_light), hits = names_of(m, &ModalityRow::needs_first_hit),
                     uv = names_of(m, &ModalityRow::needs_uv);
@@ -142,7 +142,9 @@ std::vector<Stage> stages_of(const SceneSpec& scene, const Counts& n, const Spec
   add("first hits", !hits.empty(), "for " + hits, "no chosen modality needs the pixel-centre rays");
   add("path tracing", !light.empty(),
       fmt::format("{}, {}", scene.render.target_error > 0
-                               ? fmt::format("samples for a relative error of {} (the time below is of {} samples per pixel)", scene.render.target_error, scene.render.samples)
+                               ? fmt::format("samples for a relative error of {} ({})", scene.render.target_error,
+                                             probed ? fmt::format("about {:.0f} per pixel in the mean, and 8 of a pilot", probed->wanted_samples)
+                                                    : fmt::format("the time below is of {} samples per pixel", scene.render.samples))
                                : fmt::format("{} samples per pixel", scene.render.samples),
                   scene.render.max_bounces > 0 ? fmt::format("at most {} bounces", scene.render.max_bounces)
                                                : "no cap on bounces"),
@@ -194,7 +196,7 @@ PlanReport plan(const SceneSpec& scene, const ProbeReport* probed) {
 
   text += fmt::format("{:<18}{:<10}\n", "stage", "");
   json["stages"] = Json::array();
-  for (const Stage& s : stages_of(scene, n, species)) {
+  for (const Stage& s : stages_of(scene, n, species, probed)) {
     text += fmt::format("{:<18}{:<10} {}\n", s.name, s.runs ? "runs" : "left out:", s.why);
     json["stages"].push_back({{"name", s.name}, {"runs", s.runs}, {"why", s.why}});
   }
@@ -242,11 +244,12 @@ PlanReport plan(const SceneSpec& scene, const ProbeReport* probed) {
                         p.start.processor, p.baking.processor, p.frame, n.pictures(), p.labels);
     if (p.light > 0) text += fmt::format(", {:.2g} s for light and {:.2g} s for writing {} coats", p.light, p.encoding, n.coats);
     text += fmt::format(".\nMeasured on {} pictures{} in {:.1f} s after loading.\n", p.views,
-                        p.light > 0 && p.samples < scene.render.samples ? fmt::format(" of {} samples", p.samples) : "", p.took);
+                        p.light > 0 && (scene.render.target_error > 0 || p.samples < scene.render.samples) ? fmt::format(" of {} samples", p.samples) : "", p.took);
     json["processor_seconds"] = p.processor_seconds;
     json["probe"] = {{"seconds", p.took},
                      {"pictures", p.views},
                      {"samples", p.samples},
+                     {"wanted_samples", p.wanted_samples},
                      {"start", {{"processor", p.start.processor}, {"elapsed", p.start.elapsed}}},
                      {"coats", {{"processor", p.baking.processor}, {"elapsed", p.baking.elapsed}}},
                      {"frame", p.frame},

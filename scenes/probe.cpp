@@ -124,13 +124,20 @@ ProbeReport probe(const SceneSpec& scene, double seconds) {
   const double begin = process_processor_seconds();
   const auto spent = [&] { return process_processor_seconds() - begin; };
 
-  const int samples = scene.render.samples;
-  int used = samples;                  // per pixel, in the views measured
+  const bool chosen_by_error = light && scene.render.target_error > 0;
+  const int samples = chosen_by_error ? 64 : scene.render.samples;  // at most, in the views measured
+  int used = samples;                                               // per pixel, in them
   double at_zero = 0, per_sample = 0;  // processor seconds of light in one view
   const double batches = light ? std::ceil(static_cast<double>(scene.coat_indices.size()) / batch.coats) : 0;
-  double labels = 0, lit = 0, encoded = 0, frame_time = 0, pixels_measured = 0, pixels_all = 0;
+  double labels = 0, lit = 0, encoded = 0, pilots = 0, frame_time = 0, pixels_measured = 0, pixels_all = 0;
+  double wanted_samples = 0, lit_pixels = 0;  // sums over the views measured: samples that the target error comes to, and pixels
   std::size_t pictures_all = 0, frames = 0;
   const bool counts_pixels = light && !scene.ground.present && scene.background.kind != BackgroundSpec::Kind::environment;
+  const auto pixels_that_may_be_lit = [&](const Frame& frame, const CameraRecord& r) {
+    if (!counts_pixels) return static_cast<double>(r.width) * r.height;
+    const Camera camera = Camera::from_matrix(r.world_to_camera, r.fx, r.fy, r.cx, r.cy, r.width, r.height);
+    return static_cast<double>(footprint(frame.geometry->scene, camera, scene.render.filter_radius).count());
+  };
 
   // Steps of about the golden ratio, without a common factor, so that every frame comes once.
   std::size_t stride = std::max<std::size_t>(1, std::llround(golden * static_cast<double>(scene.frames.size())));
@@ -181,14 +188,21 @@ ProbeReport probe(const SceneSpec& scene, double seconds) {
       const double encoding = stages(times, "encode") - before_pictures;
       encoded += encoding;
       lit += both - encoding;
+      if (chosen_by_error) {
+        std::vector<double> wants(wanted), pixels(wanted);
+        pilots += measure([&] {
+          parallel_for(wanted, 1, [&](std::size_t k) { wants[k] = mill.chosen_samples(frame, frame.cameras[chosen[k]], *dressed); });
+        }).processor;
+        parallel_for(wanted, 1, [&](std::size_t k) { pixels[k] = pixels_that_may_be_lit(frame, frame.cameras[chosen[k]]); });
+        for (std::size_t k = 0; k < wanted; ++k) {
+          wanted_samples += wants[k] * pixels[k];
+          lit_pixels += pixels[k];
+        }
+      }
     }
     if (counts_pixels) {
       std::vector<double> pixels(cameras);
-      parallel_for(cameras, 1, [&](std::size_t c) {
-        const CameraRecord& r = frame.cameras[c];
-        const Camera camera = Camera::from_matrix(r.world_to_camera, r.fx, r.fy, r.cx, r.cy, r.width, r.height);
-        pixels[c] = static_cast<double>(footprint(frame.geometry->scene, camera, scene.render.filter_radius).count());
-      });
+      parallel_for(cameras, 1, [&](std::size_t c) { pixels[c] = pixels_that_may_be_lit(frame, frame.cameras[c]); });
       pixels_all += std::accumulate(pixels.begin(), pixels.end(), 0.0);
       pictures_all += cameras;
       for (const std::size_t c : chosen) pixels_measured += pixels[c];
@@ -200,8 +214,9 @@ ProbeReport probe(const SceneSpec& scene, double seconds) {
   out.frame = frame_time / static_cast<double>(frames);
   out.labels = labels / views;
   if (light) {
-    out.light = batches * lit / views;
-    if (used != samples) out.light *= (at_zero + samples * per_sample) / std::max(1e-9, at_zero + used * per_sample);
+    out.wanted_samples = chosen_by_error ? wanted_samples / std::max(1.0, lit_pixels) : samples;
+    out.light = lit / views * (at_zero + out.wanted_samples * per_sample) / std::max(1e-9, at_zero + used * per_sample);
+    out.light = batches * (out.light + pilots / views);
     // Light goes with the pixels that may see an animal, and those are counted in all cameras.
     if (counts_pixels && pixels_measured > 0) out.light *= pixels_all / static_cast<double>(pictures_all) / (pixels_measured / views);
     out.encoding = encoded / views / static_cast<double>(spec.coat_indices.size()) * static_cast<double>(scene.coat_indices.size());

@@ -8,7 +8,6 @@
 #include "generator/core/stage_times.h"
 #include "generator/dataset/codecs.h"
 #include "generator/render/labels.h"
-#include "generator/render/path.h"
 #include "scenes/appearance.h"
 #include "scenes/breed_file.h"
 
@@ -400,16 +399,7 @@ std::shared_ptr<const Dressed> Mill::dress(const Frame& frame, int batch) const 
   return out;
 }
 
-View Mill::trace_coats(const Frame& frame, const CameraRecord& record, const Dressed& dressed, const Resampling& resampling) const {
-  set_float_state();
-  ++counts_.radiance;
-  const StageTimer timer("light");
-  const Camera camera = to_camera(record);
-  View view;
-  view.frame = frame.number;
-  view.camera = record.id;
-  view.width = record.width;
-  view.height = record.height;
+PathOptions Mill::path_options(const Frame& frame, const CameraRecord& record, const Dressed& dressed, const Resampling& resampling) const {
   PathOptions options;
   options.samples = resampling.samples > 0 ? resampling.samples : spec_.render.samples;
   if (resampling.samples <= 0) options.target_error = resampling.target_error > 0 ? resampling.target_error : spec_.render.target_error;
@@ -420,13 +410,37 @@ View Mill::trace_coats(const Frame& frame, const CameraRecord& record, const Dre
   options.environment_visible = spec_.background.kind == BackgroundSpec::Kind::environment;
   options.stream = stream_of(spec_, frame.number, record.id, Stream::light);
   if (resampling.repetition != 0) options.stream = hash_identity({options.stream, resampling.repetition});
-  PixelMask mask;
-  if (options.environment_visible || spec_.ground.present) {  // something may be seen in every pixel
-    mask = PixelMask(camera.width, camera.height);
-    mask.fill();
-  } else {
-    mask = footprint(dressed.scene, camera, options.filter_radius);
-  }
+  return options;
+}
+
+// Pixels in which something may be seen.
+PixelMask Mill::lit_pixels(const Frame& frame, const Camera& camera) const {
+  if (spec_.background.kind != BackgroundSpec::Kind::environment && !spec_.ground.present)
+    return footprint(frame.geometry->scene, camera, spec_.render.filter_radius);
+  PixelMask mask(camera.width, camera.height);
+  mask.fill();
+  return mask;
+}
+
+double Mill::chosen_samples(const Frame& frame, const CameraRecord& record, const Dressed& dressed) const {
+  set_float_state();
+  const Camera camera = to_camera(record);
+  return mean_chosen_samples(dressed.scene, lights(frame, record), *frame.geometry->accel, camera, lit_pixels(frame, camera),
+                             path_options(frame, record, dressed, {}));
+}
+
+View Mill::trace_coats(const Frame& frame, const CameraRecord& record, const Dressed& dressed, const Resampling& resampling) const {
+  set_float_state();
+  ++counts_.radiance;
+  const StageTimer timer("light");
+  const Camera camera = to_camera(record);
+  View view;
+  view.frame = frame.number;
+  view.camera = record.id;
+  view.width = record.width;
+  view.height = record.height;
+  const PathOptions options = path_options(frame, record, dressed, resampling);
+  const PixelMask mask = lit_pixels(frame, camera);
   Radiance radiance = trace_radiance(dressed.scene, lights(frame, record), *frame.geometry->accel, camera, mask, options);
   view.samples = static_cast<double>(radiance.paths) / static_cast<double>(std::max<std::uint64_t>(1, mask.count()));
   for (std::size_t t = 0; t < radiance.coats.size(); ++t) {

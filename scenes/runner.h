@@ -8,6 +8,7 @@
 
 #include "generator/render/accel.h"
 #include "generator/render/light.h"
+#include "generator/render/path.h"
 #include "generator/render/scene.h"
 #include "generator/render/surface_light.h"
 #include "scenes/scene.h"
@@ -72,6 +73,8 @@ class Mill {
   View trace_labels(const Frame& frame, const CameraRecord& camera) const;              // thread-safe
   View trace_coats(const Frame& frame, const CameraRecord& camera, const Dressed& dressed,
                    const Resampling& resampling = {}) const;  // thread-safe
+  // Samples per pixel, in the mean, that the scene's target error comes to in a view's picture: what trace_coats() would take. Thread-safe.
+  double chosen_samples(const Frame& frame, const CameraRecord& camera, const Dressed& dressed) const;
   Lights lights(const Frame& frame, const CameraRecord& camera) const;                 // thread-safe
   FrameRecord record(const Frame& frame) const;
   const StageCounts& counts() const { return counts_; }
@@ -79,7 +82,8 @@ class Mill {
  private:
   struct Loaded;
   void composite(View& view, const CameraRecord& camera) const;
-  void load_appearance();
+  PathOptions path_options(const Frame& frame, const CameraRecord& camera, const Dressed& dressed, const Resampling& resampling) const;
+  PixelMask lit_pixels(const Frame& frame, const Camera& camera) const;
 
   SceneSpec spec_;
   mutable StageCounts counts_;

@@ -164,6 +164,8 @@ struct Tiles {
   Tiles(const Camera& camera, const PixelFilter& filter)
       : reach(filter.reach()), across((camera.width + 2 * reach + tile - 1) / tile), down((camera.height + 2 * reach + tile - 1) / tile),
         place(static_cast<std::size_t>(across) * down, 0) {}
+  std::uint8_t place_at(int x, int y) const { return place[static_cast<std::size_t>(y / tile) * across + x / tile]; }  // of the rimmed image
+  const SamplePlaces& at(int x, int y) const { return places[place_at(x, y)]; }
 };
 
 template <int P>
@@ -179,7 +181,7 @@ void trace_tiles(const Tracer& t, const Camera& camera, const PixelMask& mask, c
     parallel_for(static_cast<std::size_t>(across) * down, 1, [&](std::size_t index) {
       const int tile_x = 2 * static_cast<int>(index % across) + (phase & 1), tile_y = 2 * static_cast<int>(index / across) + (phase >> 1);
       const int x0 = tile_x * tile, y0 = tile_y * tile;
-      const SamplePlaces& places = tiles.places[tiles.place[static_cast<std::size_t>(tile_y) * tiles.across + tile_x]];
+      const SamplePlaces& places = tiles.at(x0, y0);
       const float scale = 1.0f / places.samples();
       const int stride = tile + 2 * reach;
       std::vector<PixelSums<P>> sums;
@@ -250,18 +252,17 @@ void even_out_borders(const Tiles& tiles, const PixelMask& mask, Radiance& out) 
   for (const SamplePlaces& p : tiles.places)
     for (int row = -reach; row <= reach; ++row)
       for (int column = -reach; column <= reach; ++column) total.push_back(p.total(column, row));
-  const auto place_at = [&](int x, int y) { return tiles.place[static_cast<std::size_t>(y / tile) * tiles.across + x / tile]; };  // of the rimmed image
   parallel_for(mask.height, 8, [&](std::size_t row_index) {
     const int y = static_cast<int>(row_index);
     for (int x = 0; x < mask.width; ++x) {
       if (!mask.get(x, y)) continue;
       // The corners of what reaches the pixel: a tile is no narrower than that.
-      const int first = place_at(x, y);
-      if (place_at(x + 2 * reach, y) == first && place_at(x, y + 2 * reach) == first && place_at(x + 2 * reach, y + 2 * reach) == first) continue;
+      const int first = tiles.place_at(x, y);
+      if (tiles.place_at(x + 2 * reach, y) == first && tiles.place_at(x, y + 2 * reach) == first && tiles.place_at(x + 2 * reach, y + 2 * reach) == first) continue;
       double sum = 0;
       for (int j = -reach; j <= reach; ++j)
         for (int i = -reach; i <= reach; ++i)  // from the pixel i, j away, to which this one is -i, -j away
-          sum += total[(static_cast<std::size_t>(place_at(x + reach + i, y + reach + j)) * side + reach - j) * side + reach - i];
+          sum += total[(static_cast<std::size_t>(tiles.place_at(x + reach + i, y + reach + j)) * side + reach - j) * side + reach - i];
       const auto scale = static_cast<float>(1 / sum);
       for (ImageF& coat : out.coats)
         for (int k = 0; k < 4; ++k) coat.at(x, y, k) *= scale;
@@ -365,6 +366,24 @@ Radiance trace_radiance(const Scene& scene, const Lights& lights, const Accel& a
   with_padded_coats(scene.appearance->coat_count, [&]<int P>() { trace_tiles<P>(tracer, camera, mask, tiles, out); });
   if (options.target_error > 0 && tiles.reach > 0) even_out_borders(tiles, mask, out);
   return out;
+}
+
+double mean_chosen_samples(const Scene& scene, const Lights& lights, const Accel& accel, const Camera& camera, const PixelMask& mask,
+                           const PathOptions& options) {
+  check(options.target_error > 0, "samples follow from a target error");
+  const PixelFilter filter(options.filter_radius);
+  Tiles tiles(camera, filter);
+  Radiance pilot;
+  choose_samples({scene, lights, accel, options, options.light}, camera, mask, filter, tiles, pilot);
+  const PixelMask traced = within_reach(mask, tiles.reach);
+  double samples = 0, pixels = 0;
+  for (int y = 0; y < traced.height; ++y)
+    for (int x = 0; x < traced.width; ++x)
+      if (traced.get(x, y)) {
+        samples += tiles.at(x, y).samples();
+        ++pixels;
+      }
+  return pixels > 0 ? samples / pixels : 0;
 }
 
 }  // namespace moomill

@@ -43,6 +43,11 @@ struct Radiance {
 Radiance trace_radiance(const Scene& scene, const Lights& lights, const Accel& accel, const Camera& camera,
                         const PixelMask& mask, const PathOptions& options);
 
+// Samples per pixel, in the mean over the pixels that trace_radiance() would trace, that options.target_error comes to; only the pilot is
+// traced for it, and the pilot's eight samples are not among them.
+double mean_chosen_samples(const Scene& scene, const Lights& lights, const Accel& accel, const Camera& camera,
+                           const PixelMask& mask, const PathOptions& options);
+
 // The pixel filter: a Blackman-Harris window of `radius` pixels, along each axis.
 class PixelFilter {
  public:

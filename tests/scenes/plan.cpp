@@ -3,6 +3,7 @@
 #include <doctest/doctest.h>
 
 #include "generator/core/data_root.h"
+#include "scenes/runner.h"
 #include "tests/temporary_file.h"
 
 using namespace moomill;
@@ -73,6 +74,33 @@ TEST_CASE("a plan by a probe counts every part once") {
   CHECK(report.json["processor_seconds"] == p.processor_seconds);
   CHECK(report.json["seconds"] == p.seconds);
   CHECK(contains(report.text, "after loading"));
+}
+
+TEST_CASE("a plan by a probe follows a target error to its samples") {
+  SceneSpec scene = read_scene(data_root() / "scenes/quick.toml");
+  Overrides small;
+  small.resolution = {{64, 48}};
+  apply_overrides(scene, small);
+  double wanted[2];
+  int i = 0;
+  for (const double error : {0.1, 0.02}) {
+    scene.render.target_error = error;
+    const ProbeReport p = probe(scene, 0.2);
+    wanted[i] = p.wanted_samples;
+    // What the pictures themselves take, pilot and rim of the filter included.
+    const Mill mill(scene);
+    double samples = 0, pictures = 0;
+    for (const int number : scene.frames) {
+      const Frame frame = mill.prepare(number);
+      const auto dressed = mill.dress(frame, 0);
+      for (std::size_t c = 0; c < frame.cameras.size(); c += 5, ++pictures) samples += mill.trace_coats(frame, frame.cameras[c], *dressed).samples;
+    }
+    CHECK(p.wanted_samples + 8 < samples / pictures);       // per pixel of the mask, and the rim counts there
+    CHECK(p.wanted_samples + 8 > 0.5 * samples / pictures);
+    CHECK(contains(plan(scene, &p).text, fmt::format("about {:.0f} per pixel in the mean", p.wanted_samples)));
+    ++i;
+  }
+  CHECK(wanted[1] > 4 * wanted[0]);
 }
 
 TEST_CASE("a clip that does not exist is refused by probe and generate, which leaves nothing behind") {
