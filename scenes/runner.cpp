@@ -226,7 +226,7 @@ Frame Mill::prepare(int frame) const {
     g->accel = std::make_unique<Accel>(scene);
     ++counts_.hierarchies;
   }
-  if (g->accel && batches() > 0 && !spec_.light.environment_file) {
+  if (g->accel && batches() > 0) {
     const StageTimer timer("light");
     g->sky = sky_shares(scene, *g->accel);
   }

@@ -29,7 +29,7 @@ struct FrameGeometry {
   std::vector<dmat4> placement;
   Scene scene;
   std::unique_ptr<Accel> accel;  // null when nothing is traced
-  SkyShares sky;                 // empty where no even sky shines
+  SkyShares sky;                 // empty where no light is asked for
 };
 
 struct Frame {

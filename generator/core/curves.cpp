@@ -98,11 +98,16 @@ std::string draw_curves(const std::string& title, const std::string& x_title, co
     double legend = left + 10 + 7.0 * static_cast<double>(p.title.size());
     for (std::size_t c = 0; c < p.curves.size(); ++c) {
       const char* color = colors[c % std::size(colors)];
-      std::string points;
+      std::string points, marks;
       for (std::size_t k = 0; k < p.curves[c].x.size(); ++k)
-        if (x.shows(p.curves[c].x[k]) && y.shows(p.curves[c].y[k])) points += fmt::format("{:.1f},{:.1f} ", px(p.curves[c].x[k]), py(p.curves[c].y[k]));
+        if (x.shows(p.curves[c].x[k]) && y.shows(p.curves[c].y[k])) {
+          points += fmt::format("{:.1f},{:.1f} ", px(p.curves[c].x[k]), py(p.curves[c].y[k]));
+          if (p.curves[c].x.size() <= 16 && !p.curves[c].dashed)  // few enough to be told apart
+            marks += fmt::format("<circle cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"2.6\" fill=\"{}\"/>", px(p.curves[c].x[k]), py(p.curves[c].y[k]), color);
+        }
       svg += fmt::format("<polyline points=\"{}\" fill=\"none\" stroke=\"{}\" stroke-width=\"1.6\"{}/>\n", points, color,
                          p.curves[c].dashed ? " stroke-dasharray=\"2 4\"" : "");
+      svg += marks;
       svg += fmt::format("<text x=\"{:.1f}\" y=\"{:.1f}\" fill=\"{}\">{}</text>\n", legend, y0 - 6, color, escape(p.curves[c].name));
       legend += 14 + 7.0 * static_cast<double>(p.curves[c].name.size());
     }

@@ -8,6 +8,7 @@ namespace {
 
 constexpr float pi_f = std::numbers::pi_v<float>;
 constexpr float infinity = std::numeric_limits<float>::infinity();
+constexpr double soft_up_to = 2;       // times the mean luminance of the soft part itself; 1.4 is as good, 4 worse under a bright dawn
 constexpr float brightest = 1e30f;  // radiance of a map's pixel: room for weights and sums below the largest float
 
 // Index i with cdf[i] <= x < cdf[i + 1], and where x lies in it.
@@ -18,6 +19,22 @@ std::pair<int, float> find_interval(const float* cdf, int n, float x) {
   while (i < n - 1 && cdf[i + 1] == cdf[i]) ++i;
   const float width = cdf[i + 1] - cdf[i];
   return {i, width > 0 ? std::clamp((x - cdf[i]) / width, 0.0f, 0x1.fffffep-1f) : 0.5f};
+}
+
+// Real spherical harmonics up to the second order, each times the root of what remains of it where a cosine-weighted mean over
+// hemispheres is taken: sum of basis(n) basis(d) is that mean's kernel (Ramamoorthi and Hanrahan 2001, eq. 8 and 13).
+template <class Vec, class Real = typename Vec::value_type>
+std::array<Real, 9> cosine_harmonics(const Vec& d) {
+  constexpr Real first = Real(0.4886025 * 0.8164966), second = Real(0.5);
+  return {Real(0.2820948),
+          first * d.x,
+          first * d.y,
+          first * d.z,
+          second * Real(1.0925484) * d.x * d.y,
+          second * Real(1.0925484) * d.y * d.z,
+          second * Real(1.0925484) * d.z * d.x,
+          second * Real(0.3153916) * (3 * d.z * d.z - 1),
+          second * Real(0.5462742) * (d.x * d.x - d.y * d.y)};
 }
 
 }  // namespace
@@ -41,26 +58,52 @@ Environment::Environment(ImageF map, const std::string& name, float strength, do
   map_ = std::move(rgb);
   yaw_turns_ = static_cast<float>(yaw_rad / (2 * pi));
 
-  // Density over the unit square, in proportion to luminance times the solid angle of the row.
+  const auto pixel = [&](int x, int y) { return vec3(map_.at(x, y, 0), map_.at(x, y, 1), map_.at(x, y, 2)); };
+  const auto solid_angle = [&](int y) { return (std::cos(pi * y / h) - std::cos(pi * (y + 1) / h)) * 2 * pi / w; };  // of a pixel
+  dvec3 mean(0);
+  for (int y = 0; y < h; ++y)
+    for (int x = 0; x < w; ++x) mean += dvec3(pixel(x, y)) * (solid_angle(y) / (4 * pi));
+  mean_ = vec3(mean);
+  // By iteration; it falls to nothing where less than half of the sky shines.
+  double limit = soft_up_to * luminance(mean_);
+  for (int round = 0; round < 20; ++round) {
+    double soft_mean = 0;
+    for (int y = 0; y < h; ++y)
+      for (int x = 0; x < w; ++x) soft_mean += std::min<double>(luminance(pixel(x, y)), limit) * (solid_angle(y) / (4 * pi));
+    if (soft_up_to * soft_mean > 0.99 * limit) break;
+    limit = soft_up_to * soft_mean;
+  }
+  soft_at_most_ = static_cast<float>(limit);
+  std::array<dvec3, 9> harmonics{};
+  const int fine = std::max(1, 64 / std::min(w, h));  // large pixels are taken in parts
+  for (int y = 0; y < h * fine; ++y) {
+    const double top = std::cos(pi * y / (h * fine)), bottom = std::cos(pi * (y + 1) / (h * fine)), z = 0.5 * (top + bottom), sine = std::sqrt(1 - z * z);
+    for (int x = 0; x < w * fine; ++x) {
+      const double phi = 2 * pi * ((x + 0.5) / (w * fine) - 0.5 - yaw_turns_), part = (top - bottom) * 2 * pi / (w * fine);
+      const auto basis = cosine_harmonics(dvec3(-sine * std::sin(phi), -sine * std::cos(phi), z));
+      for (int k = 0; k < 9; ++k) harmonics[k] += dvec3(soft(pixel(x / fine, y / fine))) * (part * basis[k]);
+    }
+  }
+  for (int k = 0; k < 9; ++k) harmonics_[k] = vec3(harmonics[k]);
+
+  // Density over the unit square, in proportion to the bright part's luminance times the solid angle of the row.
   std::vector<double> row_sum(h, 0.0);
   density_.resize(static_cast<std::size_t>(w) * h);
   column_cdf_.assign(static_cast<std::size_t>(h) * (w + 1), 0.0f);
   row_cdf_.assign(h + 1, 0.0f);
-  double total = 0, solid_angle = 0;
-  dvec3 mean(0);
+  double total = 0;
+  dvec3 bright_mean(0);
   for (int y = 0; y < h; ++y) {
-    const double sine = std::cos(pi * y / h) - std::cos(pi * (y + 1) / h);  // exact share of the sphere, times 2
     for (int x = 0; x < w; ++x) {
-      const vec3 c(map_.at(x, y, 0), map_.at(x, y, 1), map_.at(x, y, 2));
-      const double v = luminance(c) * sine;
+      const vec3 bright = pixel(x, y) - soft(pixel(x, y));
+      const double v = luminance(bright) * solid_angle(y);
       density_[static_cast<std::size_t>(y) * w + x] = static_cast<float>(v);
       row_sum[y] += v;
-      mean += dvec3(c) * sine;
-      solid_angle += sine;
+      bright_mean += dvec3(bright) * (solid_angle(y) / (4 * pi));
     }
     total += row_sum[y];
   }
-  mean_ = vec3(mean / solid_angle);
+  bright_mean_ = vec3(bright_mean);
   double rows = 0;
   for (int y = 0; y < h; ++y) {
     double columns = 0;
@@ -109,17 +152,34 @@ LightSample Environment::sample(const vec2& u) const {
   s.direction = {-sine * std::sin(phi), -sine * std::cos(phi), z};
   s.distance = infinity;
   const float* p = &map_.data[map_.index(x, y)];
-  s.radiance = {p[0], p[1], p[2]};
+  s.radiance = vec3(p[0], p[1], p[2]) - soft({p[0], p[1], p[2]});
   s.pdf = density_[static_cast<std::size_t>(y) * w + x] / (h * 2.0f * pi_f * (top - bottom));
   return s;
 }
 
-float Environment::pdf(const vec3& direction) const {
-  if (!is_map()) return 0;
+vec3 Environment::soft(const vec3& radiance) const {
+  const float l = luminance(radiance);
+  return l > soft_at_most_ ? radiance * (soft_at_most_ / l) : radiance;
+}
+
+Environment::Parts Environment::parts(const vec3& direction) const {
+  if (!is_map()) return {constant_, vec3(0), 0};
   const int w = map_.width, h = map_.height;
   const glm::ivec2 t = texel(direction);
+  const float* p = &map_.data[map_.index(t.x, t.y)];
+  const vec3 all(p[0], p[1], p[2]), soft_part = soft(all);
+  const float density = density_[static_cast<std::size_t>(t.y) * w + t.x];
+  if (!(density > 0)) return {soft_part, all - soft_part, 0};
   const float top = std::cos(pi_f * t.y / h), bottom = std::cos(pi_f * (t.y + 1) / h);
-  return density_[static_cast<std::size_t>(t.y) * w + t.x] / (h * 2.0f * pi_f * (top - bottom));
+  return {soft_part, all - soft_part, density / (h * 2.0f * pi_f * (top - bottom))};
+}
+
+vec3 Environment::soft_around(const vec3& normal) const {
+  if (!is_map()) return constant_;
+  const auto basis = cosine_harmonics(normal);
+  vec3 sum(0);
+  for (int k = 0; k < 9; ++k) sum += basis[k] * harmonics_[k];
+  return glm::max(sum, vec3(0));
 }
 
 float Sun::one_minus_cos() const {
@@ -185,7 +245,7 @@ void Lights::prepare(const vec3& centre) {
   chance_.clear();
   cdf_.clear();
   std::vector<double> power;
-  if (environment->is_map()) power.push_back(luminance(environment->mean_radiance()) * pi);
+  if (environment->has_bright_part()) power.push_back(luminance(environment->bright_mean()) * pi);
   for (const Sun& s : suns) power.push_back(luminance(s.irradiance));
   for (const RectangleLight& r : rectangles) {
     const vec3 d = r.corner + 0.5f * (r.edge_u + r.edge_v) - centre;
@@ -209,7 +269,7 @@ LightSample Lights::sample(const vec3& from, float xi, const vec2& u) const {
   int i = static_cast<int>(std::upper_bound(cdf_.begin(), cdf_.end(), x) - cdf_.begin());
   i = std::min(i, count() - 1);
   const float chance = chance_[i];
-  const int first_sun = environment->is_map() ? 1 : 0;
+  const int first_sun = environment->has_bright_part() ? 1 : 0;
   LightSample s;
   if (i < first_sun)
     s = environment->sample(u);
@@ -225,12 +285,12 @@ vec3 Lights::seen_by_bsdf_ray(const vec3& from, const vec3& direction, float bsd
   vec3 sum(0);
   std::size_t i = 0;
   const bool leaves = surface == infinity;
-  if (environment->is_map()) {
-    if (leaves) sum += environment->radiance(direction) * power_heuristic(bsdf_pdf, environment->pdf(direction) * chance_[i]);
-    ++i;
-  } else if (leaves) {
-    sum += environment->radiance(direction);  // a constant is sampled by the BSDF alone
+  if (leaves) {
+    const Environment::Parts e = environment->parts(direction);
+    sum += e.soft;  // sampled by the BSDF alone
+    if (e.bright != vec3(0)) sum += e.bright * power_heuristic(bsdf_pdf, e.pdf * chance_[i]);
   }
+  i += environment->has_bright_part();
   for (const Sun& s : suns) {
     const float p = leaves ? s.pdf(direction) : 0.0f;
     if (p > 0) sum += s.radiance() * power_heuristic(bsdf_pdf, p * chance_[i]);

@@ -1,5 +1,6 @@
 #pragma once
 // Lights: an environment (constant or a map), suns, rectangles. All radiances are linear Rec. 709.
+#include <array>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -19,6 +20,10 @@ struct LightSample {
 
 // Radiance from all directions: a constant, or an equirectangular map with +Z up, seen from inside as panoramas are: its centre column is -Y turned
 // by yaw, columns to the right of it lie to the right. The map is looked up without filtering, so the tabulated density is proportional to it.
+//
+// It falls into two parts. The soft one, nowhere brighter than twice its own mean luminance, and all of a constant, is left to the rays that
+// BSDF sampling sends out: they find it as well as any, and with them it can be a control variate (path_kernel.h). The bright one, the rest,
+// is drawn from by sample(). (Karlik et al. 2019 take a mean from the density alone, to the same end.)
 class Environment {
  public:
   Environment() = default;
@@ -28,16 +33,30 @@ class Environment {
 
   bool is_black() const { return !is_map() && constant_ == vec3(0); }
   bool is_map() const { return !map_.empty(); }
-  vec3 radiance(const vec3& direction) const;
-  LightSample sample(const vec2& u) const;  // only for maps; a constant is left to BSDF sampling
-  float pdf(const vec3& direction) const;
+  vec3 radiance(const vec3& direction) const;  // of both parts
+  struct Parts {
+    vec3 soft{0}, bright{0};
+    float pdf = 0;  // of sample() in this direction, solid angle
+  };
+  Parts parts(const vec3& direction) const;
+  vec3 soft_radiance(const vec3& direction) const { return is_map() ? soft(radiance(direction)) : constant_; }
+  // The soft part's mean over the hemisphere around a unit normal, weighted by the cosine; of a map's, as far as spherical harmonics of
+  // the second order hold it (Ramamoorthi and Hanrahan 2001: within a few per cent).
+  vec3 soft_around(const vec3& normal) const;
+  bool has_bright_part() const { return bright_mean_ != vec3(0); }
+  LightSample sample(const vec2& u) const;  // of the bright part
+  float pdf(const vec3& direction) const { return parts(direction).pdf; }
   vec3 mean_radiance() const { return is_map() ? mean_ : constant_; }
+  vec3 bright_mean() const { return bright_mean_; }
   const ImageF& map() const { return map_; }  // times the strength; empty for a constant
   double yaw_rad() const { return yaw_turns_ * 2 * pi; }
 
  private:
   glm::ivec2 texel(const vec3& direction) const;
-  vec3 constant_{0}, mean_{0};
+  vec3 soft(const vec3& radiance) const;
+  vec3 constant_{0}, mean_{0}, bright_mean_{0};
+  float soft_at_most_ = 0;        // luminance
+  std::array<vec3, 9> harmonics_{};  // of the soft part, times what the cosine leaves of each; a polynomial of the normal
   ImageF map_;
   float yaw_turns_ = 0;
   std::vector<float> row_cdf_, column_cdf_;  // rows + 1; rows * (columns + 1)
@@ -84,7 +103,7 @@ struct Lights {
   vec3 seen_by_bsdf_ray(const vec3& from, const vec3& direction, float bsdf_pdf, float surface) const;
 
  private:
-  std::vector<float> cdf_, chance_;  // environment map if any, then suns, then rectangles
+  std::vector<float> cdf_, chance_;  // the environment's bright part if any, then suns, then rectangles
 };
 
 inline float power_heuristic(float a, float b) {

@@ -23,7 +23,7 @@ struct PathOptions {
   int roulette_from = 3;       // bounces before Russian roulette; from there on a path survives with at most 0.8
   int max_bounces = 0;         // 0: none, unbiased; otherwise a cap, which darkens
   bool environment_visible = false;  // the camera sees the environment; else the background is transparent
-  // How much of the sky every vertex sees, or none; an even sky then takes fewer samples. Must outlive the call.
+  // How much of the sky every vertex sees, or none; the sky then takes fewer samples. Must outlive the call.
   const SkyShares* sky = nullptr;
   // Light gathered for this scene in these coats, or none: with it pictures take far fewer samples, and have its bias. Must outlive the call.
   const SurfaceLight* light = nullptr;

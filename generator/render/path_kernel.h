@@ -304,16 +304,18 @@ inline void occluded_rays(const Accel& accel, const Ray* rays, int count, bool c
 //   BSDF:    Le f cos / p_bsdf  * w_bsdf       (when the sampled ray meets light)
 // with power-heuristic weights. Every decision is as for a white base, so the paths are those of every coat.
 //
-// An even sky is a control variate: what it would give an open surface, albedo(wo) Le, is known, and f cos / p Le of any BSDF
-// sample, wherever it goes, estimates it. The former is added and the latter taken away, as much of both as the point sees of
-// the sky by a guess: the expectation stays, and where the sky is open the scatter of f cos / p goes. An estimate may be below 0.
+// The soft part of the sky, all of an even one, is met by BSDF samples alone, and there a guess G of the radiance that arrives, alike in
+// all directions, is a control variate: what it would give, albedo(wo) G, is known, and f cos / p G of any BSDF sample, wherever it
+// goes, estimates it. The former is added and the latter taken away: the expectation stays, and where the sky is open and even the
+// scatter of f cos / p goes. G: the sky around the shading normal times the share of it that the point sees. An estimate may be below 0.
 //
 // With SurfaceLight, a surface that holds it has its matt base's light looked up, all but that of the lights that are sampled; a
 // highlight's ray that meets one ends there.
 inline void trace_paths(const Tracer& t, const PixelSampler& sampler, std::uint32_t first, Batch& batch, Counters& counters) {
   ShadingPoint point[batch_size];
-  const vec3 even = t.lights.environment->is_map() ? vec3(0) : t.lights.environment->mean_radiance();
-  const SkyShares* sky = even == vec3(0) ? nullptr : t.options.sky;
+  const Environment& environment = *t.lights.environment;
+  const SkyShares* sky = environment.is_black() ? nullptr : t.options.sky;
+  vec3 guess[batch_size];  // of the radiance that arrives from the sky's soft part
   Frame frame[batch_size];
   Bsdf bsdf[batch_size];
   bool held[batch_size];  // met where the surface holds its light
@@ -358,11 +360,12 @@ inline void trace_paths(const Tracer& t, const PixelSampler& sampler, std::uint3
       frame[l] = Frame(p.shading);
       // What the camera sees of a dark coat is mostly highlight; after the first bounce most of the light is what light coats throw.
       bsdf[l] = Bsdf(roughness, metallic, frame[l].to_local(batch.wo[l]), m.specular, bounce > 0 ? 0.02f : sky ? 0.35f : 0.15f);
-      if (!bsdf[l].albedo_is_known()) p.sky = 0;
-      if (p.sky > 0) {
+      guess[l] = vec3(0);
+      if (p.sky > 0 && bsdf[l].albedo_is_known()) {
+        guess[l] = p.sky * environment.soft_around(p.shading);
         BaseResponse albedo = bsdf[l].albedo();
         if (held[l]) albedo = {albedo.a, 0, 0};
-        step.light(albedo, batch.gain[l] * p.sky * even);
+        step.light(albedo, batch.gain[l] * guess[l]);
       }
       if (held[l]) note_incident(batch.trail[l], *t.light, t.scene, batch.hit[l], p.shading, bsdf[l].diffuse_factor());
       if (t.lights.count() == 0) continue;
@@ -416,7 +419,7 @@ inline void trace_paths(const Tracer& t, const PixelSampler& sampler, std::uint3
       step.goes_on = true;
       batch.gain[l] = 1.0f;
       batch.white[l] *= f.response.white() / f.pdf;
-      if (point[l].sky > 0) step.after = -point[l].sky * even;
+      step.after = -guess[l];
       if (under) continue;
       rays[count] = {leave(point[l], direction), 0, direction, std::numeric_limits<float>::infinity()};
       pdf[count] = f.pdf;

@@ -142,7 +142,6 @@ Gathered<P> gather_instance(const Tracer& t, const std::vector<bool>& holds, std
   out.direct.resize(vertices);
   out.met.resize(vertices);
   out.scale.assign(vertices, 0.0f);
-  const vec3 even = t.lights.environment->is_map() ? vec3(0) : t.lights.environment->mean_radiance();
   parallel_for(vertices, 64, [&](std::size_t v) {
     for (auto& f : out.fixed[v]) f.fill(0.0f);
     out.direct[v].fill(0.0f);
@@ -176,7 +175,8 @@ Gathered<P> gather_instance(const Tracer& t, const std::vector<bool>& holds, std
         ray_weights(local[i], roughness, specular, weight[i]);
         total += weight[i][0];
         if (rays.instance[i] == no_hit) {
-          for (int k = 0; k < 5; ++k) sky[k] += weight[i][k] * even;
+          const vec3 soft = t.lights.environment->soft_radiance(frame.to_world(local[i]));
+          for (int k = 0; k < 5; ++k) sky[k] += weight[i][k] * soft;
           continue;
         }
         const SurfaceHit hit{rays.instance[i], rays.triangle[i], rays.u[i], rays.v[i], rays.far[i]};

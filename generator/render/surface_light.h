@@ -15,7 +15,7 @@ SkyShares sky_shares(const Scene& scene, const Accel& accel);
 // Light held by the vertices of the animals, in every coat of the scene, for pictures that trade a small bias for time.
 //
 // Incident, for the matt base (Bsdf): I(n) = integral of L(wi) (1 - Ed(n.wi)) (n.wi) over what the vertex sees, without the lights
-// that paths sample (suns, rectangles, maps). It depends on the shading normal n as
+// that paths sample (suns, rectangles, bright parts of maps). It depends on the shading normal n as
 // I = c0 + c1 x + c2 y + c3 (x^2 + y^2) with x, y its components in Frame(vertex normal), fitted at n and at normals 20 degrees off it.
 // Outgoing: radiance thrown back, all lights included, alike in all directions.
 // Between vertices both are interpolated. Light between the animals' surfaces is solved for by iteration (radiosity), light

@@ -141,8 +141,47 @@ TEST_CASE("environment map: a panorama seen from inside, not mirrored, turned co
   for (const Environment* e : {&env, &turned})
     for (int i = 0; i < 50; ++i) {
       const LightSample s = e->sample({(i + 0.5f) / 50, 0.4f});
-      CHECK(e->radiance(s.direction).x == s.radiance.x);
+      CHECK(e->parts(s.direction).bright == s.radiance);
     }
+}
+
+TEST_CASE("environment map: a soft part at most twice its mean, a bright one with the rest, and the soft part's mean around a normal") {
+  ImageF map(64, 32, 3);
+  for (int y = 0; y < 32; ++y)
+    for (int x = 0; x < 64; ++x)
+      for (int c = 0; c < 3; ++c) map.at(x, y, c) = (c + 1) * static_cast<float>(0.3 + 0.2 * std::cos(pi * (y + 0.5) / 32) + 0.1 * std::sin(2 * pi * (x + 0.5) / 64));
+  for (int c = 0; c < 3; ++c) map.at(20, 9, c) = 900;
+  const Environment env(map, "test", 1.0f, 0.4);
+  CHECK(env.has_bright_part());
+  dvec3 soft(0), bright(0), around[3] = {dvec3(0), dvec3(0), dvec3(0)};
+  double brightest = 0;
+  const dvec3 normals[3] = {{0, 0, 1}, glm::normalize(dvec3(1, -2, 0.5)), {0, 0.6, -0.8}};
+  constexpr int n = 512;  // cells of equal solid angle
+  for (int j = 0; j < n; ++j)
+    for (int i = 0; i < 2 * n; ++i) {
+      const double z = 1 - 2 * (j + 0.5) / n, phi = pi * (i + 0.5) / n, s = std::sqrt(1 - z * z);
+      const dvec3 d(s * std::cos(phi), s * std::sin(phi), z);
+      const Environment::Parts p = env.parts(vec3(d));
+      CHECK_MESSAGE(glm::length(p.soft + p.bright - env.radiance(vec3(d))) <= 1e-6f * glm::length(env.radiance(vec3(d))), "the parts are not the whole");
+      CHECK(env.soft_radiance(vec3(d)) == p.soft);
+      CHECK((p.bright == vec3(0) ? p.pdf < 1e-4f : p.pdf > 0));  // rounding of the tables leaves a little where nothing shines
+      const double w = 1.0 / (2 * n * n);
+      soft += w * dvec3(p.soft), bright += w * dvec3(p.bright);
+      brightest = std::max<double>(brightest, luminance(p.soft));
+      for (int k = 0; k < 3; ++k) around[k] += 4 * w * std::max(0.0, glm::dot(d, normals[k])) * dvec3(p.soft);
+    }
+  CHECK(brightest / luminance(vec3(soft)) < 2.03);  // the iteration stops within a hundredth
+  CHECK(luminance(vec3(soft)) > 0.5);               // of 0.56 without the bright pixel
+  for (int c = 0; c < 3; ++c) CHECK(env.bright_mean()[c] == doctest::Approx(bright[c]).epsilon(0.03));
+  for (int k = 0; k < 3; ++k)
+    for (int c = 0; c < 3; ++c) CHECK(env.soft_around(vec3(normals[k]))[c] == doctest::Approx(around[k][c]).epsilon(0.01));
+  // What is even has no bright part, what is dark but for little has no soft one.
+  CHECK_FALSE(Environment(ImageF(8, 4, 3, 0.7f), "test", 2.0f, 0.1).has_bright_part());
+  CHECK(Environment(ImageF(8, 4, 3, 0.7f), "test", 2.0f, 0.1).soft_around(vec3(0.6f, 0, 0.8f)).y == doctest::Approx(1.4).epsilon(1e-2));
+  ImageF lamp(64, 32, 3, 0.0f);
+  lamp.at(3, 9, 1) = 5;
+  CHECK(luminance(Environment(lamp, "test", 1.0f, 0.0).soft_around(vec3(0, 0, 1))) < 1e-6);
+  CHECK(Environment(vec3(0.2f)).soft_around(vec3(0, 0, -1)) == vec3(0.2f));
 }
 
 TEST_CASE("sun: chi-squared over its disc, and its radiance integrates to the irradiance") {

@@ -286,7 +286,7 @@ TEST_CASE("surface light: a spherical well is lit as its series of reflections s
   }
 }
 
-TEST_CASE("surface light: suns and maps count in what is thrown back, not in what is held") {
+TEST_CASE("surface light: suns and bright parts of maps count in what is thrown back, not in what is held") {
   Stage s;
   const int plate = s.material({vec3(0.5f)}), black = s.material({vec3(0)});
   s.add(plate_surface({0.5f, 0, 0}, {8, 0, 0}, {0, 1, 0}), plate, 0);
@@ -302,11 +302,26 @@ TEST_CASE("surface light: suns and maps count in what is thrown back, not in wha
     CHECK(sun.outgoing(0, v)[sun.padded] == doctest::Approx(v == 0 || v == 3 ? 0 : 0.5 * 3 * direction.z / pi).epsilon(1e-3));
   }
   s.lights = {};
-  s.lights.environment = std::make_shared<Environment>(ImageF(8, 4, 3, 2.0f), "test", 1.0f, 0.3);
+  ImageF lamp(64, 32, 3, 0.0f);
+  for (int c = 0; c < 3; ++c) lamp.at(20, 4, c) = 100.0f;
+  s.lights.environment = std::make_shared<Environment>(lamp, "test", 1.0f, 0.3);
   s.ready();
   const SurfaceLight map = s.gather();
-  for (std::uint32_t v = 0; v < 4; ++v) CHECK(map.incident(0, v)[map.padded] == 0);
-  CHECK(map.outgoing(0, 1)[map.padded] == doctest::Approx(0.5 * 2).epsilon(0.15));  // 16 samples
+  for (std::uint32_t v = 0; v < 4; ++v) CHECK(map.incident(0, v)[map.padded] < 1e-3f);
+  const double theta = 4.5 * pi / 32, pixel = 2 * pi / 64 * (std::cos(4 * pi / 32) - std::cos(5 * pi / 32));
+  CHECK(map.outgoing(0, 2)[map.padded] == doctest::Approx(0.5 * 100 * pixel * std::cos(theta) / pi).epsilon(0.02));
+  // An even map is an even sky.
+  s.lights.environment = std::make_shared<Environment>(ImageF(8, 4, 3, 2.0f), "test", 1.0f, 0.3);
+  s.ready();
+  const SurfaceLight even_map = s.gather();
+  s.sky(vec3(2));
+  s.ready();
+  const SurfaceLight even = s.gather();
+  for (std::uint32_t v = 0; v < 4; ++v) {
+    CHECK(even.incident(0, v)[even.padded] > 1);
+    CHECK(even_map.incident(0, v)[even.padded] == doctest::Approx(even.incident(0, v)[even.padded]));
+    CHECK(even_map.outgoing(0, v)[even.padded] == doctest::Approx(even.outgoing(0, v)[even.padded]));
+  }
 
   // All together, in every coat, against paths.
   Stage all;

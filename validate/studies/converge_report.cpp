@@ -265,9 +265,13 @@ std::vector<std::pair<std::string, std::string>> convergence_plots(const Converg
     }
     return draw_curves(title, x_title, panels, true);
   };
+  std::set<int> coats_shown;
+  for (const PictureKey& k : shown) coats_shown.insert(std::get<2>(k));
+  const std::string of_a_view = fmt::format("seconds of a view in {} coat{}{}", coats_shown.size(), coats_shown.size() > 1 ? "s" : "",
+                                            coats_shown.size() < coats.size() ? fmt::format(" (ours: their share of {} made together)", coats.size()) : "");
   return {{"error_samples.svg", draw("Error against samples", "samples per pixel", by_coat, [](const MeanPoint& p) { return double(p.samples); }, true)},
-          {"error_seconds.svg", draw("Error against run time", "seconds of a view in all coats measured", timed, [](const MeanPoint& p) { return p.seconds; }, false)},
-          {"error_core_seconds.svg", draw("Error against processor time", "core seconds of a view in all coats measured", timed, [](const MeanPoint& p) { return p.core_seconds; }, false)}};
+          {"error_seconds.svg", draw("Error against run time", of_a_view, timed, [](const MeanPoint& p) { return p.seconds; }, false)},
+          {"error_core_seconds.svg", draw("Error against processor time", "core " + of_a_view, timed, [](const MeanPoint& p) { return p.core_seconds; }, false)}};
 }
 
 }  // namespace moomill
