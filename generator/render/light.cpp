@@ -8,7 +8,7 @@ namespace {
 
 constexpr float pi_f = std::numbers::pi_v<float>;
 constexpr float infinity = std::numeric_limits<float>::infinity();
-constexpr double soft_up_to = 2;       // times the mean luminance of the soft part itself; 1.4 is as good, 4 worse under a bright dawn
+constexpr double soft_up_to = 2;       // times the mean of the soft part itself, by the brightest channel; 1.4 is as good, 4 worse under a bright dawn
 constexpr float brightest = 1e30f;  // radiance of a map's pixel: room for weights and sums below the largest float
 
 // Index i with cdf[i] <= x < cdf[i + 1], and where x lies in it.
@@ -21,21 +21,51 @@ std::pair<int, float> find_interval(const float* cdf, int n, float x) {
   return {i, width > 0 ? std::clamp((x - cdf[i]) / width, 0.0f, 0x1.fffffep-1f) : 0.5f};
 }
 
-// Real spherical harmonics up to the second order, each times the root of what remains of it where a cosine-weighted mean over
-// hemispheres is taken: sum of basis(n) basis(d) is that mean's kernel (Ramamoorthi and Hanrahan 2001, eq. 8 and 13).
-template <class Vec, class Real = typename Vec::value_type>
-std::array<Real, 9> cosine_harmonics(const Vec& d) {
-  constexpr Real first = Real(0.4886025 * 0.8164966), second = Real(0.5);
-  return {Real(0.2820948),
-          first * d.x,
-          first * d.y,
-          first * d.z,
-          second * Real(1.0925484) * d.x * d.y,
-          second * Real(1.0925484) * d.y * d.z,
-          second * Real(1.0925484) * d.z * d.x,
-          second * Real(0.3153916) * (3 * d.z * d.z - 1),
-          second * Real(0.5462742) * (d.x * d.x - d.y * d.y)};
+// Real spherical harmonics up to the second order are these polynomials of a unit vector, each times a constant. The mean over the
+// hemisphere around n, weighted by the cosine, is the sum of cosine_kernel polynomial(n) (integral of radiance times polynomial)
+// (Ramamoorthi and Hanrahan 2001, eq. 8 and 13: the harmonics' constants squared, times 1, 2/3 and 1/4).
+constexpr double cosine_kernel[9] = {1 / (4 * pi),   1 / (2 * pi),   1 / (2 * pi),  1 / (2 * pi), 15 / (16 * pi),
+                                     15 / (16 * pi), 15 / (16 * pi), 5 / (64 * pi), 15 / (64 * pi)};
+std::array<float, 9> polynomials(const vec3& d) {
+  return {1, d.x, d.y, d.z, d.x * d.y, d.y * d.z, d.z * d.x, 3 * d.z * d.z - 1, d.x * d.x - d.y * d.y};
 }
+
+// Of a map whose pixels come from `pixel`: the integrals of radiance times the polynomials, exact for pixels of one colour each. In
+// x = -s sin(phi), y = -s cos(phi), s^2 = 1 - z^2, each is a function of z times one of phi.
+template <class Pixel>
+std::array<dvec3, 9> integrals_of_polynomials(int w, int h, double yaw_turns, const Pixel& pixel) {
+  std::vector<std::array<double, 5>> columns(w);  // integrals over phi of 1, sin, cos, sin 2 phi, cos 2 phi
+  for (int x = 0; x < w; ++x) {
+    const double a = 2 * pi * (static_cast<double>(x) / w - 0.5 - yaw_turns), b = 2 * pi * (static_cast<double>(x + 1) / w - 0.5 - yaw_turns);
+    columns[x] = {b - a, std::cos(a) - std::cos(b), std::sin(b) - std::sin(a), (std::cos(2 * a) - std::cos(2 * b)) / 2, (std::sin(2 * b) - std::sin(2 * a)) / 2};
+  }
+  std::array<dvec3, 9> out{};
+  for (int y = 0; y < h; ++y) {
+    const double top = std::cos(pi * y / h), bottom = std::cos(pi * (y + 1) / h);
+    const auto between = [&](const auto& primitive) { return primitive(top) - primitive(bottom); };
+    const auto root = [](double z) { return std::sqrt(std::max(0.0, 1 - z * z)); };
+    const double one = top - bottom, z = between([](double t) { return t * t / 2; }), zonal = between([](double t) { return t * t * t - t; }),
+                 s = between([&](double t) { return (t * root(t) + std::asin(t)) / 2; }), s2 = between([](double t) { return t - t * t * t / 3; }),
+                 sz = between([&](double t) { return -std::pow(root(t), 3) / 3; });
+    dvec3 sum[5] = {};
+    for (int x = 0; x < w; ++x) {
+      const dvec3 p(pixel(x, y));
+      for (int k = 0; k < 5; ++k) sum[k] += columns[x][k] * p;
+    }
+    out[0] += one * sum[0];
+    out[1] -= s * sum[1];
+    out[2] -= s * sum[2];
+    out[3] += z * sum[0];
+    out[4] += 0.5 * s2 * sum[3];
+    out[5] -= sz * sum[2];
+    out[6] -= sz * sum[1];
+    out[7] += zonal * sum[0];
+    out[8] -= s2 * sum[4];
+  }
+  return out;
+}
+
+float brightest_channel(const vec3& c) { return std::max({c.x, c.y, c.z}); }
 
 }  // namespace
 
@@ -64,27 +94,30 @@ Environment::Environment(ImageF map, const std::string& name, float strength, do
   for (int y = 0; y < h; ++y)
     for (int x = 0; x < w; ++x) mean += dvec3(pixel(x, y)) * (solid_angle(y) / (4 * pi));
   mean_ = vec3(mean);
-  // By iteration; it falls to nothing where less than half of the sky shines.
-  double limit = soft_up_to * luminance(mean_);
-  for (int round = 0; round < 20; ++round) {
-    double soft_mean = 0;
-    for (int y = 0; y < h; ++y)
-      for (int x = 0; x < w; ++x) soft_mean += std::min<double>(luminance(pixel(x, y)), limit) * (solid_angle(y) / (4 * pi));
-    if (soft_up_to * soft_mean > 0.99 * limit) break;
-    limit = soft_up_to * soft_mean;
+  // The greatest L that is soft_up_to times the mean of min(brightest channel, L): Newton's method on a convex function, from above. It falls
+  // to nothing where less than half of the sky shines.
+  double limit = 0;
+  for (int y = 0; y < h; ++y)
+    for (int x = 0; x < w; ++x) limit += soft_up_to * brightest_channel(pixel(x, y)) * (solid_angle(y) / (4 * pi));
+  for (int round = 0; round < 30; ++round) {
+    double below = 0, above = 0;  // mean of what is below the limit, and share of the sphere that is not
+    for (int y = 0; y < h; ++y) {
+      const double share = solid_angle(y) / (4 * pi);
+      for (int x = 0; x < w; ++x) {
+        const float v = brightest_channel(pixel(x, y));
+        if (v < limit)
+          below += v * share;
+        else
+          above += share;
+      }
+    }
+    const double next = soft_up_to * above < 1 ? soft_up_to * below / (1 - soft_up_to * above) : 0;
+    if (!(next < 0.999 * limit)) break;
+    limit = next;
   }
   soft_at_most_ = static_cast<float>(limit);
-  std::array<dvec3, 9> harmonics{};
-  const int fine = std::max(1, 64 / std::min(w, h));  // large pixels are taken in parts
-  for (int y = 0; y < h * fine; ++y) {
-    const double top = std::cos(pi * y / (h * fine)), bottom = std::cos(pi * (y + 1) / (h * fine)), z = 0.5 * (top + bottom), sine = std::sqrt(1 - z * z);
-    for (int x = 0; x < w * fine; ++x) {
-      const double phi = 2 * pi * ((x + 0.5) / (w * fine) - 0.5 - yaw_turns_), part = (top - bottom) * 2 * pi / (w * fine);
-      const auto basis = cosine_harmonics(dvec3(-sine * std::sin(phi), -sine * std::cos(phi), z));
-      for (int k = 0; k < 9; ++k) harmonics[k] += dvec3(soft(pixel(x / fine, y / fine))) * (part * basis[k]);
-    }
-  }
-  for (int k = 0; k < 9; ++k) harmonics_[k] = vec3(harmonics[k]);
+  const auto integrals = integrals_of_polynomials(w, h, yaw_turns_, [&](int x, int y) { return soft(pixel(x, y)); });
+  for (int k = 0; k < 9; ++k) harmonics_[k] = vec3(cosine_kernel[k] * integrals[k]);
 
   // Density over the unit square, in proportion to the bright part's luminance times the solid angle of the row.
   std::vector<double> row_sum(h, 0.0);
@@ -104,6 +137,7 @@ Environment::Environment(ImageF map, const std::string& name, float strength, do
     total += row_sum[y];
   }
   bright_mean_ = vec3(bright_mean);
+  if (!has_bright_part()) soft_at_most_ = infinity;  // all of it, even what was too little to have a mean
   double rows = 0;
   for (int y = 0; y < h; ++y) {
     double columns = 0;
@@ -158,8 +192,8 @@ LightSample Environment::sample(const vec2& u) const {
 }
 
 vec3 Environment::soft(const vec3& radiance) const {
-  const float l = luminance(radiance);
-  return l > soft_at_most_ ? radiance * (soft_at_most_ / l) : radiance;
+  const float most = brightest_channel(radiance);
+  return most > soft_at_most_ ? radiance * (soft_at_most_ / most) : radiance;
 }
 
 Environment::Parts Environment::parts(const vec3& direction) const {
@@ -168,6 +202,7 @@ Environment::Parts Environment::parts(const vec3& direction) const {
   const glm::ivec2 t = texel(direction);
   const float* p = &map_.data[map_.index(t.x, t.y)];
   const vec3 all(p[0], p[1], p[2]), soft_part = soft(all);
+  if (!has_bright_part()) return {all, vec3(0), 0};
   const float density = density_[static_cast<std::size_t>(t.y) * w + t.x];
   if (!(density > 0)) return {soft_part, all - soft_part, 0};
   const float top = std::cos(pi_f * t.y / h), bottom = std::cos(pi_f * (t.y + 1) / h);
@@ -176,9 +211,9 @@ Environment::Parts Environment::parts(const vec3& direction) const {
 
 vec3 Environment::soft_around(const vec3& normal) const {
   if (!is_map()) return constant_;
-  const auto basis = cosine_harmonics(normal);
+  const auto p = polynomials(normal);
   vec3 sum(0);
-  for (int k = 0; k < 9; ++k) sum += basis[k] * harmonics_[k];
+  for (int k = 0; k < 9; ++k) sum += p[k] * harmonics_[k];
   return glm::max(sum, vec3(0));
 }
 

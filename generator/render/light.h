@@ -21,7 +21,7 @@ struct LightSample {
 // Radiance from all directions: a constant, or an equirectangular map with +Z up, seen from inside as panoramas are: its centre column is -Y turned
 // by yaw, columns to the right of it lie to the right. The map is looked up without filtering, so the tabulated density is proportional to it.
 //
-// It falls into two parts. The soft one, nowhere brighter than twice its own mean luminance, and all of a constant, is left to the rays that
+// It falls into two parts. The soft one, in no channel more than twice the mean of its brightest one, and all of a constant, is left to the rays that
 // BSDF sampling sends out: they find it as well as any, and with them it can be a control variate (path_kernel.h). The bright one, the rest,
 // is drawn from by sample(). (Karlik et al. 2019 take a mean from the density alone, to the same end.)
 class Environment {
@@ -55,8 +55,8 @@ class Environment {
   glm::ivec2 texel(const vec3& direction) const;
   vec3 soft(const vec3& radiance) const;
   vec3 constant_{0}, mean_{0}, bright_mean_{0};
-  float soft_at_most_ = 0;        // luminance
-  std::array<vec3, 9> harmonics_{};  // of the soft part, times what the cosine leaves of each; a polynomial of the normal
+  float soft_at_most_ = 0;           // the soft part's brightest channel
+  std::array<vec3, 9> harmonics_{};  // soft_around() is a polynomial of the normal with these coefficients
   ImageF map_;
   float yaw_turns_ = 0;
   std::vector<float> row_cdf_, column_cdf_;  // rows + 1; rows * (columns + 1)

@@ -323,15 +323,27 @@ TEST_CASE("surface light: suns and bright parts of maps count in what is thrown 
     CHECK(even_map.outgoing(0, v)[even.padded] == doctest::Approx(even.outgoing(0, v)[even.padded]));
   }
 
-  // All together, in every coat, against paths.
-  Stage all;
-  furnish(all, twelve_coats());
-  const SurfaceLight light = all.gather();
-  const Radiance held = all.picture(beside, 256, &light), by_paths = all.picture(beside, 1024, nullptr, 2);
-  double worst = 0;
-  for (int c = 0; c < 12; ++c) worst = std::max(worst, std::abs(mean_of(held.coats[c]) / mean_of(by_paths.coats[c]) - 1));
-  MESSAGE("ball, plates, metal and sun, worst of 12 coats: ", worst);
-  CHECK(worst < 0.01);
+  // All together, in every coat, against paths: under an even sky, and under a map with a soft part and a bright one.
+  for (const bool under_map : {false, true}) {
+    Stage all;
+    furnish(all, twelve_coats());
+    if (under_map) {
+      ImageF sky(32, 16, 3);
+      for (int y = 0; y < 16; ++y)
+        for (int x = 0; x < 32; ++x)
+          for (int c = 0; c < 3; ++c) sky.at(x, y, c) = (y == 5 && x == 20 ? 30.0f : 0.4f + 0.02f * static_cast<float>(16 - y)) * (1 - 0.2f * c);
+      all.lights.environment = std::make_shared<Environment>(sky, "test", 1.0f, 0.3);
+      all.ready();
+      REQUIRE(all.lights.environment->has_bright_part());
+      REQUIRE(all.lights.environment->soft_around(vec3(0, 0, 1)).x > 0.5f);
+    }
+    const SurfaceLight light = all.gather();
+    const Radiance held = all.picture(beside, 256, &light), by_paths = all.picture(beside, 1024, nullptr, 2);
+    double worst = 0;
+    for (int c = 0; c < 12; ++c) worst = std::max(worst, std::abs(mean_of(held.coats[c]) / mean_of(by_paths.coats[c]) - 1));
+    MESSAGE("ball, plates, metal and sun", std::string(under_map ? " under a map" : ""), ", worst of 12 coats: ", worst);
+    CHECK(worst < 0.01);
+  }
 }
 
 TEST_CASE("surface light: same bits for a coat alone and in a batch, and on any number of threads") {

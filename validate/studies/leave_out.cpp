@@ -23,7 +23,7 @@ namespace fs = std::filesystem;
 constexpr double least_ratio = 0.9;
 // A bound that leaves out a tenth can be held against figures that are known to a tenth. Fewer pairs say too little of the scatter: of
 // three, the median deviation is half as large as it should be every few runs.
-constexpr double most_uncertainty = 0.1;  // of the stages' time, or of the saving where that is more
+constexpr double most_uncertainty = 0.1;  // of the stages' time
 constexpr std::size_t fewest_pairs = 5;
 
 // What the child process does: the whole of `generate` on one thread, told to the parent as JSON.
@@ -177,7 +177,7 @@ StudyResult leave_out_study(const std::string& title, const std::vector<LeaveOut
   result.title = title;
   result.table = fmt::format(
       "# {}\n\nOne thread, processor seconds without the loading of species; medians of {} pairs of runs, each a process of its own.\n"
-      "A ratio is held against {} where the uncertainty of the saving is at most a tenth of what the stages take (or of itself, where more is saved), and there are five pairs.\n\n"
+      "A ratio is held against {} where the uncertainty of the saving is at most a tenth of what the stages take, and there are five pairs.\n\n"
       "| left out | its stages, s | saved, s | uncertainty, s | ratio | whole, s | peak memory saved, MB | of, MB |\n|---|---|---|---|---|---|---|---|\n",
       title, measured.empty() ? 0 : measured[0].with.size(), least_ratio);
   for (const LeaveOut& l : measured) {
@@ -195,7 +195,7 @@ StudyResult leave_out_study(const std::string& title, const std::vector<LeaveOut
     for (const double s : saved) deviation.push_back(std::abs(s - middle));
     const double uncertainty = 1.4826 * 1.2533 * median(deviation) / std::sqrt(static_cast<double>(saved.size()));
     const double ratio = stage > 0 ? middle / stage : std::numeric_limits<double>::quiet_NaN();
-    const bool held = saved.size() >= fewest_pairs && uncertainty <= most_uncertainty * std::max(stage, middle) && stage > 0;
+    const bool held = saved.size() >= fewest_pairs && uncertainty <= most_uncertainty * stage && stage > 0;
     result.table += fmt::format("| {} | {:.4f} | {:.4f} | {:.4f} | {} | {:.3f} | {:.1f} | {:.1f} |\n", l.variant.part, stage, middle, uncertainty,
                                 stage > 0 ? fmt::format("{:.2f}{}", ratio, held ? "" : " (not held)") : "no stage", median(whole), median(memory),
                                 median(peak));

@@ -262,7 +262,7 @@ double grazing_sun(const StressOptions&) {
 // Draws from a map of 1024 x 512 whose density, asked for by direction, is another by more than 1e-4.
 double density_by_direction(const StressOptions&) {
   ImageF map(1024, 512, 3);
-  for (std::size_t i = 0; i < map.data.size(); ++i) map.data[i] = static_cast<float>(to_unit(mix64(i)));
+  for (std::size_t i = 0; i < map.data.size(); ++i) map.data[i] = static_cast<float>(std::pow(to_unit(mix64(i / 3)), 8));  // mostly dark: drawn from
   const Environment environment(std::move(map), "map", 1, 0.3);
   double differing = 0;
   constexpr int n = 100'000;

@@ -129,10 +129,9 @@ double corners_of_bsdf(const StressOptions&) {
 }
 
 double corners_of_lights(const StressOptions&) {
-  ImageF map(16, 8, 3, 0.2f);
-  for (int x = 0; x < 16; ++x)
-    for (int c = 0; c < 3; ++c)
-      map.at(x, 0, c) = map.at(x, 7, c) = map.at(x == 0 ? 15 : 0, 3, c) = 0;  // black at all borders
+  ImageF map(16, 8, 3, 0.0f);  // black but for a few, which all draws must find; at the ends of rows and inside
+  for (int c = 0; c < 3; ++c)
+    for (const auto& [x, y] : {std::pair(0, 1), std::pair(15, 2), std::pair(5, 4), std::pair(6, 4), std::pair(9, 6)}) map.at(x, y, c) = 0.2f;
   const Environment environment(map, "map", 1, 0.7), pixel(ImageF(1, 1, 3, 1.0f), "pixel", 1, 0);
   RectangleLight rectangle;
   rectangle.corner = {-1, -1, -2};
