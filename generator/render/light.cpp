@@ -8,7 +8,7 @@ namespace {
 
 constexpr float pi_f = std::numbers::pi_v<float>;
 constexpr float infinity = std::numeric_limits<float>::infinity();
-constexpr double soft_up_to = 2;       // times the mean of the soft part itself, by the brightest channel; 1.4 is as good, 4 worse under a bright dawn
+constexpr double soft_up_to = 2;  // times the mean of the soft part itself, by the brightest channel (docs/figures.md has others)
 constexpr float brightest = 1e30f;  // radiance of a map's pixel: room for weights and sums below the largest float
 
 // Index i with cdf[i] <= x < cdf[i + 1], and where x lies in it.
