@@ -3,7 +3,7 @@
 // one of an independent integrator (double precision, brute-force intersection, its own surface model and sampling) with a quarter as many. To make
 // it again with 65,536, which takes a quarter of an hour of processor time, or with fewer:
 //
-//   [MOOMILL_BIAS_SAMPLES=16384] build/release/bin/test_render -tc="references of the bias test, made again" --no-skip
+//   [MOOMILL_BIAS_SAMPLES=16384] build/release/bin/test_render -tc="references of the bias test*" --no-skip
 //
 // Pixels of a picture may share their samples, so nothing here takes them as independent: every mean's spread comes from pictures with streams of
 // their own.
