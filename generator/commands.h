@@ -61,7 +61,7 @@ struct StressCommand {
   std::uint64_t rays = 10'000'000;
   bool enforce = false;    // exit status 1 where a case is out of bounds
 };
-int run_stress_study(const StressCommand& command);
+int run_stress_study(const StressCommand& command, const std::atomic<bool>& stop);
 
 struct CompareCommand {
   std::string rig, reference, out;
@@ -94,7 +94,7 @@ struct CrosscheckCommand {
   int label_scale = 3, threads = 0, reference = 0;
   bool enforce = false;  // exit status 1 where a figure misses its bound
 };
-int run_crosscheck(const CrosscheckCommand& command);
+int run_crosscheck(const CrosscheckCommand& command, const std::atomic<bool>& stop);
 
 struct CoatBakeCommand {
   std::string coat, rig, out;

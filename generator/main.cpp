@@ -1,5 +1,7 @@
 // The command line of moomill: commands, options, help. What the commands do is in commands.cpp.
 #include <CLI/CLI.hpp>
+#include <cmath>
+#include <cstdlib>
 
 #include "generator/command_line.h"
 #include "generator/commands.h"
@@ -20,6 +22,9 @@ void add_scene_options(CLI::App* app, SceneOptions& o) {
   app->add_flag("--surface-light", o.surface_light, "gather light on the animals once per frame: faster, with a small bias");
 }
 
+// CLI::Range takes what is not a number for one within it.
+const CLI::Validator a_number([](const std::string& text) { return std::isnan(std::strtod(text.c_str(), nullptr)) ? text + " is not a number" : std::string(); }, "", "");
+
 int run(int argc, char** argv) {
   CLI::App app("The mill: synthetic multi-view datasets of articulated animals with exact ground truth.", "moomill");
   app.set_version_flag("--version", "moomill " MOOMILL_VERSION);
@@ -34,7 +39,8 @@ int run(int argc, char** argv) {
   c->add_flag("--json", plan.json, "for programs");
   c->add_option("--probe", plan.probe_seconds, "seconds of work, after loading, that the time is measured by; default 5; 0: typical figures, nothing is loaded")
       ->type_name("SECONDS")
-      ->check(CLI::Range(0.0, 3600.0));
+      ->check(CLI::Range(0.0, 3600.0))
+      ->check(a_number);
   add_scene_options(c, plan.options);
 
   GenerateCommand generate;
@@ -61,6 +67,8 @@ int run(int argc, char** argv) {
       ->type_name("rgb,depth");
   c->add_option("--resolution", render.options.resolution, "of the picture")->type_name("WxH");
   c->add_option("--spp", render.options.samples, "samples per pixel")->type_name("N");
+  c->add_option("--target-error", render.options.target_error, "relative error of the picture, 0.001 to 1, instead of --spp")->type_name("E");
+  c->add_flag("--surface-light", render.options.surface_light, "gather light on the animals first: a small bias");
 
   MergeCommand merge;
   c = add_command(app, "merge", "Join shards into one dataset", "moomill merge out/shard0 out/shard1 -o out/whole",
@@ -85,7 +93,7 @@ int run(int argc, char** argv) {
   CrosscheckCommand crosscheck;
   c = add_command(app, "crosscheck", "The same frame by Blender's Cycles, compared",
                   "moomill crosscheck scenes/quick.toml -o out/crosscheck --cameras 0,13 --coats 0 --enforce", status,
-                  [&] { return run_crosscheck(crosscheck); });
+                  [&] { return run_crosscheck(crosscheck, stop_wanted); });
   c->add_option("scene", crosscheck.scene, "scene file")->required()->type_name("SCENE");
   c->add_option("-o,--out", crosscheck.out, "folder for tables, figures and pictures")->required()->type_name("DIR");
   c->add_option("--frame", crosscheck.frame, "default: the first")->type_name("F");
@@ -102,6 +110,7 @@ int run(int argc, char** argv) {
                             ->type_name("16,64");
   c->add_option("--reference", crosscheck.reference, "with --timing: samples of the pictures that errors are taken against; those already in the folder are kept")
       ->type_name("N")
+      ->check(CLI::Range(1, largest_samples))
       ->needs(timing);
   c->add_flag("--enforce", crosscheck.enforce, "exit status 1 where a figure misses its bound");
 
@@ -128,7 +137,7 @@ int run(int argc, char** argv) {
   c->add_option("--target-errors", converge.target_errors, "measure pictures of these target errors instead of sample counts")->type_name("0.1,0.05");
   c->add_flag("--surface-light", converge.options.surface_light, "measure pictures with gathered light, against references by paths: the errors hold its bias");
   c->add_option("--threads", converge.threads, "0: one per core")->type_name("N")->check(CLI::Range(0, 4096));
-  c->add_option("--slope-at-most", converge.slope_at_most, "bound of the slope of MSE against samples; default -0.97")->type_name("X");
+  c->add_option("--slope-at-most", converge.slope_at_most, "bound of the slope of MSE against samples; default -0.97")->type_name("X")->check(a_number);
   c->add_flag("--enforce", converge.enforce, "exit status 1 where a figure misses its bound");
 
   LeaveOutCommand leave_out;
@@ -143,7 +152,7 @@ int run(int argc, char** argv) {
 
   StressCommand stress;
   c = add_command(app, "stress", "Numerical stability on extreme cases, each against an oracle; a table of errors and bounds",
-                  "moomill stress -o out/stress --enforce", status, [&] { return run_stress_study(stress); });
+                  "moomill stress -o out/stress --enforce", status, [&] { return run_stress_study(stress, stop_wanted); });
   c->add_option("-o,--out", stress.out, "folder for stress.md, stress.csv, summary.json and table.md")->required()->type_name("DIR");
   c->add_option("--group", stress.group, "only these cases: geometry, skinning, light, sampling, keypoints, statistics")->type_name("GROUP");
   c->add_option("--rays", stress.rays, "of the search for cracks between triangles; default 10000000")

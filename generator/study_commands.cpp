@@ -74,7 +74,11 @@ int run_converge(const ConvergeCommand& command, std::atomic<bool>& stop) {
     scene.cameras.width = width;
   }
   std::optional<Against> against;
-  if (!command.against.empty()) against = Against{read_convergence(command.against), command.at_samples};
+  if (!command.against.empty()) {
+    against = Against{read_convergence(command.against), command.at_samples};
+    require_common_pictures(scene, *against);
+  }
+  require_study_folder(command.out);
   Convergence measured;
   {
     ProgressBar bar("samples");
@@ -99,6 +103,7 @@ int run_leave_out(const LeaveOutCommand& command, std::atomic<bool>& stop) {
   options.folder = command.out;
   if (!command.parts.empty()) options.parts = parse_words("--parts", command.parts);
   options.stop = &stop;
+  require_study_folder(command.out);
   std::vector<LeaveOut> measured;
   {
     ProgressBar bar("runs");
@@ -111,10 +116,13 @@ int run_leave_out(const LeaveOutCommand& command, std::atomic<bool>& stop) {
   return command.enforce ? missed : 0;
 }
 
-int run_stress_study(const StressCommand& command) {
+int run_stress_study(const StressCommand& command, const std::atomic<bool>& stop) {
   StressOptions options;
+  options.stop = &stop;
   options.edge_rays = command.rays;
   options.group = command.group;
+  if (!options.group.empty()) stress_cases(options.group);  // refused before anything is made
+  require_study_folder(command.out);
   const std::vector<StressOutcome> outcomes = run_stress(options);
   const StudyResult result = stress_study(outcomes);
   print(result.table);
@@ -163,7 +171,7 @@ int run_rig_motion(const std::string& source, int samples, const std::string& fo
   return finish_study(study_motion(scene, species, options), folder);
 }
 
-int run_crosscheck(const CrosscheckCommand& command) {
+int run_crosscheck(const CrosscheckCommand& command, const std::atomic<bool>& stop) {
   SceneSpec scene = read_scene(command.scene);
   Overrides overrides = parse_overrides(command.options);
   apply_overrides(scene, overrides);
@@ -174,7 +182,10 @@ int run_crosscheck(const CrosscheckCommand& command) {
   options.label_scale = command.label_scale;
   options.threads = command.threads;
   options.reference_samples = command.reference;
+  options.stop = &stop;
   if (!command.timing.empty()) options.timing_samples = parse_list("--timing", command.timing);
+  for (const int n : options.timing_samples)
+    if (n < 1 || n > largest_samples) input_error("--timing: {} is no number of samples; 1 to {}", n, largest_samples);
   // A whole dataset would take Cycles days: without a word, three cameras and two coats stand for all.
   Overrides few;
   if (overrides.cameras.empty() && scene.cameras.only.empty()) few.cameras = some_of(all_camera_ids(scene.cameras), 3);

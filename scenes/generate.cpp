@@ -69,8 +69,8 @@ void generate(const SceneSpec& scene, const GenerateOptions& options) {
   tell("loading", 0);
 
   const Mill mill(scene);
-  require_poses(scene, mill);  // before anything is written, and so is a map of the sky read
-  if (mill.batches() > 0 && scene.light.environment_file) {
+  require_poses(scene, mill);  // before anything is written, and so are the first frame's lights made and its map of the sky read
+  if (mill.batches() > 0) {
     const Frame first = mill.prepare(scene.frames.front());
     mill.lights(first, first.cameras.front());
   }

@@ -406,6 +406,8 @@ class SceneReader {
     light.environment_color = read_distribution(*t, "environment_color", color, light.environment_color);
     light.environment_file = read_optional_distribution(*t, "environment_file", file_name);
     require_files(*t, "environment_file", light.environment_file);
+    if (light.environment_file && t->has("environment_color"))
+      t->fail("environment_color", "means nothing beside environment_file; leave one of them out");
     light.environment_strength = read_distribution(*t, "environment_strength", strength, light.environment_strength);
     light.environment_yaw_deg = read_distribution(*t, "environment_yaw_deg", angle, light.environment_yaw_deg);
     for (TomlReader& s : t->tables("suns")) light.suns.push_back(read_sun(s));

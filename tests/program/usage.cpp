@@ -133,6 +133,14 @@ TEST_CASE("options that the scene cannot follow") {
   check_usage_error("render " + good + " --frame 1 --camera 0 --coat 12 -o x.exr",
                     "has no coat 12; its coats are 0 to 11");
   check_usage_error("render " + good + " --frame 1 --camera 0 -o x.png", "must end in .exr");
+  check_usage_error("plan " + good + " --probe nan", "--probe: nan is not a number");
+  check_usage_error("converge " + good + " -o x --slope-at-most nan", "--slope-at-most: nan is not a number");
+  check_usage_error("crosscheck " + good + " -o x --timing 0", "--timing: 0 is no number of samples; 1 to");
+  check_usage_error("crosscheck " + good + " -o x --timing 4 --reference -5", "--reference: Value -5 not in range");
+  const fs::path out = folder().path / "refused";
+  const std::string lamp = scene("lamp.toml", "[[animals]]\nspecies = \"cow\"\n[[light.rectangles]]\nposition = [0, 0, 1]\ntarget = [0, 0, 1]\n");
+  check_usage_error("generate " + lamp + " -o " + in_quotes(out), "a rectangular light stands at its own target in frame 1");
+  CHECK_FALSE(fs::exists(out));
 }
 
 TEST_CASE("help, version and plan succeed") {
@@ -152,6 +160,17 @@ TEST_CASE("help, version and plan succeed") {
   const Outcome json =
       run("plan " + scene("three.toml", "[[animals]]\nspecies = \"cow\"\n") + " --json --coats 3 --frames 2:3");
   CHECK(contains(json.out, "\"views\": 48"));
+}
+
+TEST_CASE("a study that could not be written is not begun") {
+  const std::string good = scene("good.toml", "[[animals]]\nspecies = \"cow\"\n"), file = in_quotes(folder().file("file", "x"));
+  for (const std::string& command : {"stress -o " + file, "converge " + good + " -o " + file, "leave-out " + good + " -o " + file}) {
+    const Outcome o = run(command);
+    INFO(command, " -> ", o.err);
+    CHECK(o.status == 1);
+    CHECK(o.out.empty());
+    CHECK(contains(o.err, "a part of the path is a file; move it away or choose another folder"));
+  }
 }
 
 TEST_CASE("what fails while running has exit status 1") {

@@ -194,6 +194,11 @@ TEST_CASE("what a scene cannot mean is refused with line and mend") {
   CHECK(contains(refused("yaw_deg = {choose = []}\n"), "must not give choose an empty list"));
   CHECK(contains(refused("position = [0, 0]\n"), "must be three numbers [x, y, z], not a list of 2"));
   CHECK(contains(refused("[light]\nenvironment_file = \"gone.exr\"\n"), "a.toml:4: there is no file gone.exr"));
+  {
+    const TemporaryFile file("a.toml", "[[animals]]\nspecies = \"rig.glb\"\n[light]\nenvironment_color = 1\nenvironment_file = \"sky.hdr\"\n");
+    for (const char* name : {"rig.glb", "sky.hdr"}) std::ofstream(file.folder() / name) << "x";
+    CHECK(contains(message_of([&] { read_scene(file.path); }), "a.toml:4: 'environment_color' in [light] means nothing beside environment_file"));
+  }
   CHECK(contains(refused("[[light.suns]]\nelevation_deg = 91\n"),
                  "a.toml:4: 'elevation_deg' in [light.suns[0]] must lie from -90 to 90, not 91"));
   CHECK(contains(refused("[[light.suns]]\nirradiance = {log_uniform = [0, 1]}\n"), "positive bounds for log_uniform"));

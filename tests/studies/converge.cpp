@@ -167,6 +167,17 @@ TEST_CASE("a small scene converges against its own reference, with repetitions t
     // Against itself neither is faster; on so few pixels one repetition may be luckier than the other.
     if (f.name == "speed-up over moomill at equal relative MSE, core seconds: median") CHECK(f.value == doctest::Approx(1).epsilon(0.7));
   }
+  // Two sample counts have no slope to hold.
+  Convergence two = measured;
+  std::erase_if(two.rows, [](const ConvergenceRow& r) { return r.samples > 2; });
+  CHECK(convergence_study("two", two, -0.97, std::nullopt).holds());
+  // What cannot be compared is refused before anything is measured.
+  CHECK_NOTHROW(require_common_pictures(scene, {measured.rows, 4}));
+  CHECK(test::contains(test::message_of([&] { require_common_pictures(scene, {measured.rows, 5}); }), "--at-spp: the other run was not measured at 5 samples"));
+  o.cameras = {3};
+  apply_overrides(scene, o);
+  CHECK(test::contains(test::message_of([&] { require_common_pictures(scene, {measured.rows, 4}); }),
+                 "--against: no picture was measured in both runs (frame 1, camera 3, coat 0 and others here, frame 1, camera 2, coat 0 and others there)"));
   for (const auto& [name, svg] : convergence_plots(measured, std::nullopt)) {
     CAPTURE(name);
     CHECK(svg.find("nan") == std::string::npos);

@@ -25,6 +25,13 @@ void holds(const std::string& group) {
 
 }  // namespace
 
+TEST_CASE("stress: a wish to stop is heard between cases") {
+  std::atomic<bool> stop{true};
+  StressOptions options;
+  options.stop = &stop;
+  CHECK_THROWS_AS(run_stress(options), RunError);
+}
+
 TEST_CASE("stress: geometry stays within its bounds") {
   holds("geometry");
 }

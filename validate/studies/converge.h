@@ -75,7 +75,9 @@ struct Against {
   std::vector<ConvergenceRow> rows;
   int samples = 64;  // of the other renderer: the error to be reached
 };
-// Table and figures; `title` names the scene.
+// InputError where the other run has no picture in common with what is to be measured, or none at its sample count.
+void require_common_pictures(const SceneSpec& scene, const Against& against);
+// Table and figures; `title` names the scene. The slope wants three sample counts; with fewer it is told and not held.
 StudyResult convergence_study(const std::string& title, const Convergence& measured, double slope_at_most,
                               const std::optional<Against>& against);
 // File names and their text: error against samples, seconds and core seconds, as SVG.

@@ -115,8 +115,7 @@ PowerLaw slope_of(const Curves& curves) {
   return fit_power_law(samples, errors);
 }
 
-std::set<PictureKey> common_pictures(const std::vector<ConvergenceRow>& own, const std::vector<ConvergenceRow>& other) {
-  const std::set<PictureKey> a = pictures_of(own), b = pictures_of(other);
+std::set<PictureKey> common_pictures(const std::set<PictureKey>& a, const std::set<PictureKey>& b) {
   std::set<PictureKey> both;
   std::set_intersection(a.begin(), a.end(), b.begin(), b.end(), std::inserter(both, both.end()));
   if (both.empty()) {
@@ -132,9 +131,20 @@ std::set<PictureKey> common_pictures(const std::vector<ConvergenceRow>& own, con
 
 }  // namespace
 
+void require_common_pictures(const SceneSpec& scene, const Against& against) {
+  std::set<PictureKey> wanted;
+  for (const int frame : scene.frames)
+    for (const CameraRecord& camera : cameras_of_frame(scene, frame))
+      for (const int coat : scene.coat_indices) wanted.insert({frame, camera.id, coat});
+  const std::set<PictureKey> both = common_pictures(wanted, pictures_of(against.rows));
+  for (const ConvergenceRow& r : against.rows)
+    if (r.samples == against.samples && both.count(key_of(r))) return;
+  input_error("--at-spp: the other run was not measured at {} samples; choose a number of its column spp", against.samples);
+}
+
 SpeedUp speed_up(const std::vector<ConvergenceRow>& own, const std::vector<ConvergenceRow>& other, int samples, Measure measure,
                  bool core_seconds) {
-  const std::set<PictureKey> both = common_pictures(own, other);
+  const std::set<PictureKey> both = common_pictures(pictures_of(own), pictures_of(other));
   const Curves mine = pool(own, both), theirs = pool(other, both);
   SpeedUp out;
   bool measured = false;
@@ -190,7 +200,10 @@ StudyResult convergence_study(const std::string& title, const Convergence& measu
                      p.seconds, p.core_seconds);
 
   const PowerLaw slope = slope_of(curves);
-  result.figures.push_back({"slope of MSE against samples", slope.slope, "", slope_at_most, {}});
+  std::set<int> sample_counts;
+  for (const ConvergenceRow& r : measured.rows) sample_counts.insert(r.samples);
+  const bool fitted = sample_counts.size() >= 3;
+  result.figures.push_back({"slope of MSE against samples", slope.slope, "", fitted ? std::optional(slope_at_most) : std::nullopt, {}});
   result.figures.push_back({"slope, lower end of its 95 % interval", slope.low, "", {}, {}});
   result.figures.push_back({"slope, upper end of its 95 % interval", slope.high, "", {}, {}});
   t += "\n| MSE against samples | slope | 95 % interval | MSE of the reference |\n|---|---|---|---|\n";
@@ -229,7 +242,7 @@ std::vector<std::pair<std::string, std::string>> convergence_plots(const Converg
     std::vector<MeanPoint> points;
   };
   // Of the same pictures, where there is another renderer: or the curves would not be comparable.
-  const std::set<PictureKey> shown = against ? common_pictures(measured.rows, against->rows) : all;
+  const std::set<PictureKey> shown = against ? common_pictures(pictures_of(measured.rows), pictures_of(against->rows)) : all;
   std::vector<Named> timed{{"moomill", mean_curve(pool(measured.rows, shown))}};
   if (against) timed.push_back({against->rows.front().renderer, mean_curve(pool(against->rows, shown))});
   std::vector<Named> by_coat{{"all coats", mean_curve(pool(measured.rows, all))}};

@@ -1,6 +1,7 @@
 #include "validate/studies/crosscheck.h"
 
 #include <fcntl.h>
+#include <signal.h>
 #include <spawn.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -9,6 +10,7 @@
 #include <chrono>
 #include <cstring>
 #include <map>
+#include <thread>
 
 #include "generator/core/data_root.h"
 #include "generator/core/error.h"
@@ -30,8 +32,8 @@ std::string join(const std::vector<int>& numbers) {
   return fmt::format("{}", fmt::join(numbers, ","));
 }
 
-// Runs a program with its output in `log`; its exit status, or 128 + the signal that ended it.
-int run_logged(const std::vector<std::string>& words, const fs::path& log) {
+// Runs a program with its output in `log`; its exit status, or 128 + the signal that ended it. Ends it where `stop` is set.
+int run_logged(const std::vector<std::string>& words, const fs::path& log, const std::atomic<bool>* stop) {
   posix_spawn_file_actions_t actions;
   posix_spawn_file_actions_init(&actions);
   posix_spawn_file_actions_addopen(&actions, 0, "/dev/null", O_RDONLY, 0);
@@ -45,8 +47,15 @@ int run_logged(const std::vector<std::string>& words, const fs::path& log) {
   posix_spawn_file_actions_destroy(&actions);
   if (failed) run_error("{} cannot be started: {}", words[0], std::strerror(failed));
   int status = 0;
-  while (waitpid(child, &status, 0) < 0)
-    if (errno != EINTR) run_error("{} was lost: {}", words[0], std::strerror(errno));
+  for (bool ended = false; !ended;) {
+    const pid_t changed = waitpid(child, &status, stop ? WNOHANG : 0);
+    if (changed < 0 && errno != EINTR) run_error("{} was lost: {}", words[0], std::strerror(errno));
+    ended = changed == child;
+    if (ended || !stop) continue;
+    if (stop->load()) ::kill(child, SIGKILL);  // it holds nothing that is not written anew
+    std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  }
+  if (stop && stop->load()) run_error("stopped; references that are whole stay in the folder, run the same command again to go on");
   return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
 }
 
@@ -69,14 +78,14 @@ void run_blender(const CrosscheckOptions& options, const fs::path& folder, const
                                     folder.string(), "--threads", std::to_string(options.threads), "--launched", fmt::format("{:.3f}", std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count())};
   words.insert(words.end(), more.begin(), more.end());
   const fs::path log = folder / "blender.log";
-  if (const int status = run_logged(words, log); status != 0)
+  if (const int status = run_logged(words, log, options.stop); status != 0)
     run_error("Blender ended with status {}; its last words are in {}", status, log.string());
 }
 
 // Hash of all that a picture by Cycles hangs on: what was exported, the scripts, and the version of Blender.
 std::string source_hash(const CrosscheckOptions& options, const std::string& export_hash) {
   const fs::path log = options.out / "blender_version.log";
-  if (const int status = run_logged({blender_program(options).string(), "--version"}, log); status != 0)
+  if (const int status = run_logged({blender_program(options).string(), "--version"}, log, nullptr); status != 0)
     run_error("{} --version ended with status {}; what it said is in {}", options.blender, status, log.string());
   std::string text = export_hash;
   for (const fs::path& file : {log, script_file("crosscheck.py"), script_file("rebuild.py"), script_file("lobes.py")}) {

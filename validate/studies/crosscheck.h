@@ -140,6 +140,7 @@ struct CrosscheckOptions {
   std::vector<int> timing_samples;  // with any: no comparison but timed renders of Blender's own material, at each
   int reference_samples =
       0;  // of the timed renders' errors; 0: errors stay empty. Those in the folder are kept, see below
+  const std::atomic<bool>* stop = nullptr;  // set: Blender is ended, RunError
 };
 // Exports, renders both, compares. Writes crosscheck.csv (a row per view, coat and surface), crosscheck.md and pictures
 // into the folder; the result is for finish_study(). InputError when there is no Blender.

@@ -101,7 +101,10 @@ std::vector<StressOutcome> run_stress(const StressOptions& options) {
   set_float_state();  // as on every thread that renders
   std::vector<StressOutcome> outcomes;
   for (const std::string& group : options.group.empty() ? stress_groups() : std::vector<std::string>{options.group})
-    for (StressCase& c : stress_cases(group)) outcomes.push_back(run_case(group, std::move(c), options));
+    for (StressCase& c : stress_cases(group)) {
+      if (options.stop && options.stop->load()) run_error("stopped after {} cases, nothing was written; run the same command again, it starts anew", outcomes.size());
+      outcomes.push_back(run_case(group, std::move(c), options));
+    }
   return outcomes;
 }
 

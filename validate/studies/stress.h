@@ -3,6 +3,7 @@
 //
 // To add a case: one StressCase in the file of its group (stress_<group>.cpp). The runner, the tables, the command and
 // the tests follow from it. A case runs the product's own code; only its oracle is computed here, by other means.
+#include <atomic>
 #include <cstdint>
 #include <functional>
 #include <string>
@@ -15,6 +16,7 @@ namespace moomill {
 struct StressOptions {
   std::uint64_t edge_rays = 10'000'000;  // of each case that hunts for cracks
   std::string group;                     // only this one; empty: all
+  const std::atomic<bool>* stop = nullptr;  // set: RunError before the next case
 };
 
 // How the right answer is known.

@@ -12,6 +12,13 @@ bool StudyResult::holds() const {
   return std::all_of(figures.begin(), figures.end(), [](const Figure& f) { return f.holds(); });
 }
 
+void require_study_folder(const std::filesystem::path& folder) {
+  const std::filesystem::path probe = folder / ".moomill_study";
+  write_file_atomically(probe, "");
+  std::error_code ignored;
+  std::filesystem::remove(probe, ignored);
+}
+
 void write_study(const StudyResult& result, const std::filesystem::path& folder) {
   nlohmann::json figures = nlohmann::json::array();
   for (const Figure& f : result.figures) {

@@ -26,6 +26,9 @@ struct StudyResult {
   bool holds() const;
 };
 
+// RunError where nothing can be written into the folder, which is made: asked before hours are spent.
+void require_study_folder(const std::filesystem::path& folder);
+
 // Writes summary.json ({"title", "figures": [{name, value, unit, at_most?, at_least?, holds}]}) and table.md into the
 // folder, which is made. Not-a-number becomes null and never holds. Throws RunError when it cannot be written.
 void write_study(const StudyResult& result, const std::filesystem::path& folder);
