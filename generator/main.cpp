@@ -19,7 +19,7 @@ void add_scene_options(CLI::App* app, SceneOptions& o) {
   app->add_option("--resolution", o.resolution, "of the pictures")->type_name("WxH");
   app->add_option("--spp", o.samples, "samples per pixel")->type_name("N");
   app->add_option("--target-error", o.target_error, "relative error of the pictures, 0.001 to 1, instead of --spp: 0.02 is smooth to the eye")->type_name("E");
-  app->add_flag("--surface-light", o.surface_light, "gather light on the animals once per frame: faster, with a small bias");
+  app->add_flag("--surface-light", o.surface_light, "gather light on the animals once per frame: faster for large pictures, with a small bias");
 }
 
 // CLI::Range takes what is not a number for one within it.
