@@ -222,19 +222,23 @@ inline void note_incident(Trail& trail, const SurfaceLight& light, const Scene& 
   trail.factor = factor;
 }
 
-// As fetch_paint(), for the coats first .. first + 7. Beyond the last coat the values are any colours.
-inline void fetch_eight(const PaintPoint& p, const std::vector<std::shared_ptr<const Texture>>& textures, const float* srgb, int first, __m256* base) {
-  if (p.texel) {
+// Base colours of the coats first .. first + 7, and their squares. Beyond the last coat the values are any colours.
+inline void fetch_eight(const PaintPoint& p, const std::vector<std::shared_ptr<const Texture>>& textures, const float* srgb, int first, __m256* base, __m256* square) {
+  if (p.texel[0]) {
     const std::size_t n = p.paint->coats.size();
-    for (int c = 0; c < 3; ++c) {
-      const __m128i bytes = _mm_loadl_epi64(reinterpret_cast<const __m128i*>(p.texel + c * n + first));
-      base[c] = _mm256_i32gather_ps(srgb, _mm256_cvtepu8_epi32(bytes), 4);
-    }
+    for (int c = 0; c < 3; ++c) base[c] = square[c] = _mm256_setzero_ps();
+    for (int k = 0; k < (p.all_four ? 4 : 1); ++k)
+      for (int c = 0; c < 3; ++c) {
+        const __m128i bytes = _mm_loadl_epi64(reinterpret_cast<const __m128i*>(p.texel[k] + c * n + first));
+        const __m256 color = _mm256_i32gather_ps(srgb, _mm256_cvtepu8_epi32(bytes), 4), part = _mm256_mul_ps(_mm256_set1_ps(p.weight[k]), color);
+        base[c] = _mm256_add_ps(base[c], part);
+        square[c] = _mm256_fmadd_ps(part, color, square[c]);
+      }
     return;
   }
-  alignas(32) float single[3][8];
-  fetch_single_paints(p, textures, first, single);
-  for (int c = 0; c < 3; ++c) base[c] = _mm256_load_ps(single[c]);
+  alignas(32) float single[3][8], squared[3][8];
+  fetch_single_paints(p, textures, first, single, squared);
+  for (int c = 0; c < 3; ++c) base[c] = _mm256_load_ps(single[c]), square[c] = _mm256_load_ps(squared[c]);
 }
 
 // Radiance of every coat from a path, `padded` coats apart per channel. A coat whose value is not finite gets 0; returns whether any
@@ -244,16 +248,16 @@ inline bool play(const Trail& trail, const std::vector<std::shared_ptr<const Tex
   const __m256 zero = _mm256_setzero_ps();
   bool all_finite = true;
   for (int first = 0; first < coats; first += 8) {
-    __m256 sum[3], throughput[3], base[3];
+    __m256 sum[3], throughput[3], base[3], square[3];
     for (int c = 0; c < 3; ++c) {
       sum[c] = _mm256_set1_ps(trail.seen[c]);
       throughput[c] = _mm256_set1_ps(1.0f);
     }
     for (const Step& s : trail.steps) {
-      fetch_eight(s.paint, textures, srgb, first, base);
+      fetch_eight(s.paint, textures, srgb, first, base, square);
       for (int c = 0; c < 3; ++c) {
-        __m256 f = _mm256_fmadd_ps(base[c], _mm256_set1_ps(s.before[2][c]), _mm256_set1_ps(s.before[1][c]));
-        f = _mm256_fmadd_ps(base[c], f, _mm256_set1_ps(s.before[0][c]));
+        __m256 f = _mm256_fmadd_ps(base[c], _mm256_set1_ps(s.before[1][c]), _mm256_set1_ps(s.before[0][c]));
+        f = _mm256_fmadd_ps(square[c], _mm256_set1_ps(s.before[2][c]), f);
         sum[c] = _mm256_fmadd_ps(throughput[c], f, sum[c]);
       }
       if (trail.incident[0] && &s == trail.steps.data())
@@ -267,8 +271,8 @@ inline bool play(const Trail& trail, const std::vector<std::shared_ptr<const Tex
         }
       if (!s.goes_on) break;
       for (int c = 0; c < 3; ++c) {
-        const __m256 f = _mm256_fmadd_ps(base[c], _mm256_set1_ps(s.next.c), _mm256_set1_ps(s.next.b));
-        throughput[c] = _mm256_mul_ps(throughput[c], _mm256_fmadd_ps(base[c], f, _mm256_set1_ps(s.next.a)));
+        const __m256 f = _mm256_fmadd_ps(base[c], _mm256_set1_ps(s.next.b), _mm256_set1_ps(s.next.a));
+        throughput[c] = _mm256_mul_ps(throughput[c], _mm256_fmadd_ps(square[c], _mm256_set1_ps(s.next.c), f));
         sum[c] = _mm256_fmadd_ps(throughput[c], _mm256_set1_ps(s.after[c]), sum[c]);
       }
     }
@@ -350,7 +354,7 @@ inline void trace_paths(const Tracer& t, const PixelSampler& sampler, std::uint3
       const Material& m = *p.material;
       const auto& textures = t.scene.appearance->textures;
       Step& step = batch.trail[l].steps.emplace_back();
-      step.paint = find_paint(*t.scene.appearance->paints[m.paint], p.uv, p.vertex_color, texel_u[l]);
+      step.paint = find_paint(*t.scene.appearance->paints[m.paint], p.uv, p.vertex_color, texel_u[l], bounce == 0);
       float roughness = m.roughness, metallic = m.metallic;
       if (m.metallic_roughness_texture >= 0) {
         const vec3 texel = texture_rgb(*textures[m.metallic_roughness_texture], p.uv);

@@ -143,21 +143,61 @@ void fetch_paint(const Paint& paint, const std::vector<std::shared_ptr<const Tex
   }
 }
 
-PaintPoint find_paint(const Paint& paint, const vec2& uv, const vec3& vertex_color, const vec2& xi) {
-  PaintPoint p{&paint, nullptr, uv, xi, vertex_color};
+namespace {
+
+// The choices that choose_texel() makes of four numbers xi, and how often it makes each.
+constexpr vec2 corner_xi[4] = {{1, 1}, {0, 1}, {1, 0}, {0, 0}};
+void corner_weights(const TexturePlacement& placement, int width, int height, const vec2& uv, float* weight) {
+  const vec2 q = place(placement, uv);
+  const float x = texel_coordinate(q.x, width), y = texel_coordinate(q.y, height);
+  const float fx = x - std::floor(x), fy = y - std::floor(y);
+  weight[0] = (1 - fx) * (1 - fy);
+  weight[1] = fx * (1 - fy);
+  weight[2] = (1 - fx) * fy;
+  weight[3] = fx * fy;
+}
+
+}  // namespace
+
+PaintPoint find_paint(const Paint& paint, const vec2& uv, const vec3& vertex_color, const vec2& xi, bool all_four) {
+  PaintPoint p;
+  p.paint = &paint;
+  p.all_four = all_four;
+  p.uv = uv;
+  p.xi = xi;
+  p.vertex_color = vertex_color;
   if (paint.stack.empty()) return p;
-  p.texel = stacked_texel(paint, uv, xi);
   const std::size_t bytes = 3 * paint.coats.size();
-  for (std::size_t i = 0; i < bytes; i += 64) __builtin_prefetch(p.texel + i);
-  __builtin_prefetch(p.texel + bytes - 1);
+  if (all_four) corner_weights(paint.stack_placement, paint.stack_width, paint.stack_height, uv, p.weight);
+  for (int k = 0; k < (all_four ? 4 : 1); ++k) {
+    p.texel[k] = stacked_texel(paint, uv, all_four ? corner_xi[k] : xi);
+    for (std::size_t i = 0; i < bytes; i += 64) __builtin_prefetch(p.texel[k] + i);
+    __builtin_prefetch(p.texel[k] + bytes - 1);
+  }
   return p;
 }
 
-void fetch_single_paints(const PaintPoint& p, const std::vector<std::shared_ptr<const Texture>>& textures, int first, float (*base)[8]) {
+void fetch_single_paints(const PaintPoint& p, const std::vector<std::shared_ptr<const Texture>>& textures, int first, float (*base)[8], float (*square)[8]) {
   const int n = static_cast<int>(p.paint->coats.size());
   for (int i = 0; i < 8; ++i) {
-    const vec3 color = first + i < n ? single_paint(p.paint->coats[first + i], textures, p.uv, p.vertex_color, p.xi) : vec3(0);
-    for (int c = 0; c < 3; ++c) base[c][i] = color[c];
+    for (int c = 0; c < 3; ++c) base[c][i] = square[c][i] = 0;
+    if (first + i >= n) continue;
+    const Paint::PerCoat& coat = p.paint->coats[first + i];
+    float weight[4] = {1, 0, 0, 0};
+    const bool all_four = p.all_four && coat.texture >= 0;
+    if (all_four) {
+      const Texture& texture = *textures[coat.texture];
+      corner_weights(texture.placement, texture.image.width, texture.image.height, p.uv, weight);
+    }
+    // The operations are those on a stack (path_kernel.h), so that a coat has the same bits in any batch.
+    for (int k = 0; k < (all_four ? 4 : 1); ++k) {
+      const vec3 color = single_paint(coat, textures, p.uv, p.vertex_color, all_four ? corner_xi[k] : p.xi);
+      for (int c = 0; c < 3; ++c) {
+        const float part = weight[k] * color[c];
+        base[c][i] += part;
+        square[c][i] = std::fma(part, color[c], square[c][i]);
+      }
+    }
   }
 }
 

@@ -56,16 +56,19 @@ void build_stack(Paint& paint, const std::vector<const Image8*>& images);
 void fetch_paint(const Paint& paint, const std::vector<std::shared_ptr<const Texture>>& textures, const vec2& uv, const vec3& vertex_color,
                  const vec2& xi, int stride, float* base);
 
-// Where a paint is read: the same for all coats, whose colours are fetched from there, eight at a time.
+// Where a paint is read: the same for all coats, whose colours are fetched from there, eight at a time. One texel chosen by xi, or all four
+// around the point: what is asked of them then is the mean of the colour and of its square, which is what the choice has in the mean.
 struct PaintPoint {
   const Paint* paint = nullptr;
-  const std::uint8_t* texel = nullptr;  // of the stack, if there is one; on its way into the cache
+  const std::uint8_t* texel[4] = {};  // of the stack, if there is one; on their way into the cache
+  float weight[4] = {1, 0, 0, 0};
+  bool all_four = false;
   vec2 uv{0}, xi{0};
   vec3 vertex_color{1};
 };
-PaintPoint find_paint(const Paint& paint, const vec2& uv, const vec3& vertex_color, const vec2& xi);
+PaintPoint find_paint(const Paint& paint, const vec2& uv, const vec3& vertex_color, const vec2& xi, bool all_four);
 
-// Of the coats first .. first + 7 without a stack: base[c][i], 0 beyond the last coat.
-void fetch_single_paints(const PaintPoint& p, const std::vector<std::shared_ptr<const Texture>>& textures, int first, float (*base)[8]);
+// Of the coats first .. first + 7 without a stack: base[c][i], 0 beyond the last coat, and the mean of its square.
+void fetch_single_paints(const PaintPoint& p, const std::vector<std::shared_ptr<const Texture>>& textures, int first, float (*base)[8], float (*square)[8]);
 
 }  // namespace moomill

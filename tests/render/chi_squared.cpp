@@ -1,4 +1,5 @@
 // Chi-squared tests of the samplers that tests/render/sampling.cpp leaves out: every draw of the path tracer has one, here or there.
+#include "generator/render/path_kernel.h"
 #include "generator/render/sampler.h"
 #include "tests/render/fixtures.h"
 
@@ -193,6 +194,60 @@ TEST_CASE("choice of a light: chi-squared against nine tenths by irradiance and 
   }
   CHECK(wrong == 0);
   CHECK(pearson(observed, expected) > significance);
+}
+
+TEST_CASE("all four texels: the mean that the choice of one has, of the colour and of its square, with the same bits on a stack and without") {
+  constexpr int w = 5, h = 4, coats = 3;
+  std::mt19937 random(9);
+  std::vector<Image8> images(coats, Image8(w, h, 3));
+  for (Image8& im : images)
+    for (auto& v : im.data) v = static_cast<std::uint8_t>(random() & 255);
+  Paint single, stacked;
+  std::vector<std::shared_ptr<const Texture>> textures;
+  for (const Wrap mode : {Wrap::repeat, Wrap::mirror, Wrap::clamp}) {
+    TexturePlacement place;
+    place.wrap_u = place.wrap_v = mode;
+    place.scale = {1.5f, 0.8f};
+    single = stacked = {};
+    textures.clear();
+    std::vector<const Image8*> all;
+    for (int c = 0; c < coats; ++c) {
+      Texture t;
+      t.image = images[c];
+      t.placement = place;
+      textures.push_back(std::make_shared<const Texture>(t));
+      single.coats.push_back({vec3(1), c, false});
+      all.push_back(&images[c]);
+    }
+    stacked.coats = single.coats;
+    stacked.stack_placement = place;
+    build_stack(stacked, all);
+    const auto fetch = [&](const Paint& paint, const vec2& uv, const vec2& xi, bool all_four) {
+      __m256 base[3], square[3];
+      kernel::fetch_eight(find_paint(paint, uv, vec3(1), xi, all_four), textures, srgb_table().data(), 0, base, square);
+      std::array<float, 6 * coats> out;
+      alignas(32) float lanes[8];
+      for (int c = 0; c < 6; ++c) {
+        _mm256_store_ps(lanes, c < 3 ? base[c] : square[c - 3]);
+        std::copy_n(lanes, coats, out.begin() + c * coats);
+      }
+      return out;
+    };
+    for (const vec2& uv : {vec2(0.31f, 0.77f), vec2(0.02f, 0.99f), vec2(-1.4f, 2.63f)}) {
+      const auto four = fetch(stacked, uv, vec2(0.5f), true);
+      CHECK(four == fetch(single, uv, vec2(0.5f), true));
+      std::array<double, 6 * coats> mean{};
+      constexpr int n = 200;
+      for (int i = 0; i < n; ++i)
+        for (int j = 0; j < n; ++j) {
+          const vec2 xi((i + 0.5f) / n, (j + 0.5f) / n);
+          const auto one = fetch(stacked, uv, xi, false);
+          if (i == j) CHECK(one == fetch(single, uv, xi, false));
+          for (std::size_t k = 0; k < mean.size(); ++k) mean[k] += double(one[k]) / (n * n);
+        }
+      for (std::size_t k = 0; k < mean.size(); ++k) CHECK(std::abs(four[k] - mean[k]) < 0.01);  // the grid's step
+    }
+  }
 }
 
 TEST_CASE("choice of a texel: chi-squared against bilinear weights, for every wrap mode, turned and shifted") {
