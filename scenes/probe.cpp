@@ -10,7 +10,6 @@
 #include "generator/core/parallel.h"
 #include "generator/core/stage_times.h"
 #include "generator/dataset/codecs.h"
-#include "generator/render/first_hit.h"
 #include "scenes/appearance.h"
 #include "scenes/generate.h"
 #include "scenes/runner.h"
@@ -130,14 +129,8 @@ ProbeReport probe(const SceneSpec& scene, double seconds) {
   double at_zero = 0, per_sample = 0;  // processor seconds of light in one view
   const double batches = light ? std::ceil(static_cast<double>(scene.coat_indices.size()) / batch.coats) : 0;
   double labels = 0, lit = 0, encoded = 0, pilots = 0, frame_time = 0, pixels_measured = 0, pixels_all = 0;
-  double wanted_samples = 0, lit_pixels = 0;  // sums over the views measured: samples that the target error comes to, and pixels
+  double wanted_samples = 0;  // that the target error comes to, times the view's pixels, over the views measured
   std::size_t pictures_all = 0, frames = 0;
-  const bool counts_pixels = light && !scene.ground.present && scene.background.kind != BackgroundSpec::Kind::environment;
-  const auto pixels_that_may_be_lit = [&](const Frame& frame, const CameraRecord& r) {
-    if (!counts_pixels) return static_cast<double>(r.width) * r.height;
-    const Camera camera = Camera::from_matrix(r.world_to_camera, r.fx, r.fy, r.cx, r.cy, r.width, r.height);
-    return static_cast<double>(footprint(frame.geometry->scene, camera, scene.render.filter_radius).count());
-  };
 
   // Steps of about the golden ratio, without a common factor, so that every frame comes once.
   std::size_t stride = std::max<std::size_t>(1, std::llround(golden * static_cast<double>(scene.frames.size())));
@@ -188,24 +181,18 @@ ProbeReport probe(const SceneSpec& scene, double seconds) {
       const double encoding = stages(times, "encode") - before_pictures;
       encoded += encoding;
       lit += both - encoding;
-      if (chosen_by_error) {
-        std::vector<double> wants(wanted), pixels(wanted);
-        pilots += measure([&] {
-          parallel_for(wanted, 1, [&](std::size_t k) { wants[k] = mill.chosen_samples(frame, frame.cameras[chosen[k]], *dressed); });
-        }).processor;
-        parallel_for(wanted, 1, [&](std::size_t k) { pixels[k] = pixels_that_may_be_lit(frame, frame.cameras[chosen[k]]); });
-        for (std::size_t k = 0; k < wanted; ++k) {
-          wanted_samples += wants[k] * pixels[k];
-          lit_pixels += pixels[k];
-        }
-      }
-    }
-    if (counts_pixels) {
       std::vector<double> pixels(cameras);
-      parallel_for(cameras, 1, [&](std::size_t c) { pixels[c] = pixels_that_may_be_lit(frame, frame.cameras[c]); });
+      parallel_for(cameras, 1, [&](std::size_t c) { pixels[c] = static_cast<double>(mill.lit_pixels(frame, frame.cameras[c]).count()); });
       pixels_all += std::accumulate(pixels.begin(), pixels.end(), 0.0);
       pictures_all += cameras;
       for (const std::size_t c : chosen) pixels_measured += pixels[c];
+      if (chosen_by_error) {
+        std::vector<double> wants(wanted);
+        pilots += measure([&] {
+          parallel_for(wanted, 1, [&](std::size_t k) { wants[k] = mill.chosen_samples(frame, frame.cameras[chosen[k]], *dressed); });
+        }).processor;
+        for (std::size_t k = 0; k < wanted; ++k) wanted_samples += wants[k] * pixels[chosen[k]];
+      }
     }
     out.views += wanted;
   }
@@ -214,11 +201,11 @@ ProbeReport probe(const SceneSpec& scene, double seconds) {
   out.frame = frame_time / static_cast<double>(frames);
   out.labels = labels / views;
   if (light) {
-    out.wanted_samples = chosen_by_error ? wanted_samples / std::max(1.0, lit_pixels) : samples;
+    out.wanted_samples = chosen_by_error ? wanted_samples / std::max(1.0, pixels_measured) : samples;
     out.light = lit / views * (at_zero + out.wanted_samples * per_sample) / std::max(1e-9, at_zero + used * per_sample);
     out.light = batches * (out.light + pilots / views);
     // Light goes with the pixels that may see an animal, and those are counted in all cameras.
-    if (counts_pixels && pixels_measured > 0) out.light *= pixels_all / static_cast<double>(pictures_all) / (pixels_measured / views);
+    if (pixels_measured > 0) out.light *= pixels_all / static_cast<double>(pictures_all) / (pixels_measured / views);
     out.encoding = encoded / views / static_cast<double>(spec.coat_indices.size()) * static_cast<double>(scene.coat_indices.size());
   }
   const double n = static_cast<double>(scene.frames.size()), pictures = n * static_cast<double>(cameras_of_frame(scene, scene.frames[0]).size());

@@ -413,8 +413,8 @@ PathOptions Mill::path_options(const Frame& frame, const CameraRecord& record, c
   return options;
 }
 
-// Pixels in which something may be seen.
-PixelMask Mill::lit_pixels(const Frame& frame, const Camera& camera) const {
+PixelMask Mill::lit_pixels(const Frame& frame, const CameraRecord& record) const {
+  const Camera camera = to_camera(record);
   if (spec_.background.kind != BackgroundSpec::Kind::environment && !spec_.ground.present)
     return footprint(frame.geometry->scene, camera, spec_.render.filter_radius);
   PixelMask mask(camera.width, camera.height);
@@ -425,7 +425,7 @@ PixelMask Mill::lit_pixels(const Frame& frame, const Camera& camera) const {
 double Mill::chosen_samples(const Frame& frame, const CameraRecord& record, const Dressed& dressed) const {
   set_float_state();
   const Camera camera = to_camera(record);
-  return mean_chosen_samples(dressed.scene, lights(frame, record), *frame.geometry->accel, camera, lit_pixels(frame, camera),
+  return mean_chosen_samples(dressed.scene, lights(frame, record), *frame.geometry->accel, camera, lit_pixels(frame, record),
                              path_options(frame, record, dressed, {}));
 }
 
@@ -440,7 +440,7 @@ View Mill::trace_coats(const Frame& frame, const CameraRecord& record, const Dre
   view.width = record.width;
   view.height = record.height;
   const PathOptions options = path_options(frame, record, dressed, resampling);
-  const PixelMask mask = lit_pixels(frame, camera);
+  const PixelMask mask = lit_pixels(frame, record);
   Radiance radiance = trace_radiance(dressed.scene, lights(frame, record), *frame.geometry->accel, camera, mask, options);
   view.samples = static_cast<double>(radiance.paths) / static_cast<double>(std::max<std::uint64_t>(1, mask.count()));
   for (std::size_t t = 0; t < radiance.coats.size(); ++t) {

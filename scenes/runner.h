@@ -75,6 +75,7 @@ class Mill {
                    const Resampling& resampling = {}) const;  // thread-safe
   // Samples per pixel, in the mean, that the scene's target error comes to in a view's picture: what trace_coats() would take. Thread-safe.
   double chosen_samples(const Frame& frame, const CameraRecord& camera, const Dressed& dressed) const;
+  PixelMask lit_pixels(const Frame& frame, const CameraRecord& camera) const;           // in which something may be seen; thread-safe
   Lights lights(const Frame& frame, const CameraRecord& camera) const;                 // thread-safe
   FrameRecord record(const Frame& frame) const;
   const StageCounts& counts() const { return counts_; }
@@ -83,7 +84,6 @@ class Mill {
   struct Loaded;
   void composite(View& view, const CameraRecord& camera) const;
   PathOptions path_options(const Frame& frame, const CameraRecord& camera, const Dressed& dressed, const Resampling& resampling) const;
-  PixelMask lit_pixels(const Frame& frame, const Camera& camera) const;
 
   SceneSpec spec_;
   mutable StageCounts counts_;

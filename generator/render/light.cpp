@@ -91,14 +91,15 @@ Environment::Environment(ImageF map, const std::string& name, float strength, do
   const auto pixel = [&](int x, int y) { return vec3(map_.at(x, y, 0), map_.at(x, y, 1), map_.at(x, y, 2)); };
   const auto solid_angle = [&](int y) { return (std::cos(pi * y / h) - std::cos(pi * (y + 1) / h)) * 2 * pi / w; };  // of a pixel
   dvec3 mean(0);
+  double limit = 0;
   for (int y = 0; y < h; ++y)
-    for (int x = 0; x < w; ++x) mean += dvec3(pixel(x, y)) * (solid_angle(y) / (4 * pi));
+    for (int x = 0; x < w; ++x) {
+      mean += dvec3(pixel(x, y)) * (solid_angle(y) / (4 * pi));
+      limit += soft_up_to * brightest_channel(pixel(x, y)) * (solid_angle(y) / (4 * pi));
+    }
   mean_ = vec3(mean);
   // The greatest L that is soft_up_to times the mean of min(brightest channel, L): Newton's method on a convex function, from above. It falls
   // to nothing where less than half of the sky shines.
-  double limit = 0;
-  for (int y = 0; y < h; ++y)
-    for (int x = 0; x < w; ++x) limit += soft_up_to * brightest_channel(pixel(x, y)) * (solid_angle(y) / (4 * pi));
   for (int round = 0; round < 30; ++round) {
     double below = 0, above = 0;  // mean of what is below the limit, and share of the sphere that is not
     for (int y = 0; y < h; ++y) {

@@ -226,14 +226,22 @@ inline void note_incident(Trail& trail, const SurfaceLight& light, const Scene& 
 inline void fetch_eight(const PaintPoint& p, const std::vector<std::shared_ptr<const Texture>>& textures, const float* srgb, int first, __m256* base, __m256* square) {
   if (p.texel[0]) {
     const std::size_t n = p.paint->coats.size();
-    for (int c = 0; c < 3; ++c) base[c] = square[c] = _mm256_setzero_ps();
-    for (int k = 0; k < (p.all_four ? 4 : 1); ++k)
-      for (int c = 0; c < 3; ++c) {
-        const __m128i bytes = _mm_loadl_epi64(reinterpret_cast<const __m128i*>(p.texel[k] + c * n + first));
-        const __m256 color = _mm256_i32gather_ps(srgb, _mm256_cvtepu8_epi32(bytes), 4), part = _mm256_mul_ps(_mm256_set1_ps(p.weight[k]), color);
-        base[c] = _mm256_add_ps(base[c], part);
-        square[c] = _mm256_fmadd_ps(part, color, square[c]);
-      }
+    const auto color = [&](int corner, int c) {
+      const __m128i bytes = _mm_loadl_epi64(reinterpret_cast<const __m128i*>(p.texel[corner] + c * n + first));
+      return _mm256_i32gather_ps(srgb, _mm256_cvtepu8_epi32(bytes), 4);
+    };
+    // What is alike at both ends stays as it is, to the bit.
+    const auto between = [](__m256 a, __m256 b, float f) { return _mm256_fmadd_ps(_mm256_set1_ps(f), _mm256_sub_ps(b, a), a); };
+    for (int c = 0; c < 3; ++c) {
+      __m256 v[4] = {color(0, c)};
+      base[c] = v[0];
+      square[c] = _mm256_mul_ps(v[0], v[0]);
+      if (!p.all_four) continue;
+      for (int k = 1; k < 4; ++k) v[k] = color(k, c);
+      base[c] = between(between(v[0], v[1], p.fx), between(v[2], v[3], p.fx), p.fy);
+      for (__m256& x : v) x = _mm256_mul_ps(x, x);
+      square[c] = between(between(v[0], v[1], p.fx), between(v[2], v[3], p.fx), p.fy);
+    }
     return;
   }
   alignas(32) float single[3][8], squared[3][8];

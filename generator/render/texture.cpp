@@ -46,20 +46,41 @@ const std::array<float, 256>& srgb_table() {
   return table;
 }
 
+namespace {
+
+// The four texels around a point: that at (x, y), before wrapping, and its neighbours to the right and below; fx and fy on the way to those.
+struct Around {
+  int x, y;
+  float fx, fy;
+  Around(const TexturePlacement& placement, int width, int height, const vec2& uv) {
+    const vec2 q = place(placement, uv);
+    const float u = texel_coordinate(q.x, width), v = texel_coordinate(q.y, height), left = std::floor(u), top = std::floor(v);
+    x = static_cast<int>(left);
+    y = static_cast<int>(top);
+    fx = u - left;
+    fy = v - top;
+  }
+};
+
+}  // namespace
+
 glm::ivec2 choose_texel(const TexturePlacement& placement, int width, int height, const vec2& uv, const vec2& xi) {
-  const vec2 q = place(placement, uv);
-  const float x = texel_coordinate(q.x, width), y = texel_coordinate(q.y, height);
-  const float x0 = std::floor(x), y0 = std::floor(y);
-  const int ix = static_cast<int>(x0) + (x - x0 > xi.x ? 1 : 0);
-  const int iy = static_cast<int>(y0) + (y - y0 > xi.y ? 1 : 0);
-  return {wrap(ix, width, placement.wrap_u), wrap(iy, height, placement.wrap_v)};
+  const Around a(placement, width, height, uv);
+  return {wrap(a.x + (a.fx > xi.x), width, placement.wrap_u), wrap(a.y + (a.fy > xi.y), height, placement.wrap_v)};
 }
 
 namespace {
 
+// Their first bytes in a grid of texels of so many bytes: left and right, above and below.
+std::array<const std::uint8_t*, 4> corners_of(const Around& a, const TexturePlacement& placement, int width, int height, const std::uint8_t* data, std::size_t bytes) {
+  const int xa = wrap(a.x, width, placement.wrap_u), xb = wrap(a.x + 1, width, placement.wrap_u);
+  const std::size_t ya = static_cast<std::size_t>(wrap(a.y, height, placement.wrap_v)) * width, yb = static_cast<std::size_t>(wrap(a.y + 1, height, placement.wrap_v)) * width;
+  return {data + (ya + xa) * bytes, data + (ya + xb) * bytes, data + (yb + xa) * bytes, data + (yb + xb) * bytes};
+}
+
 // The four texels around a point and their weights.
 struct Corners {
-  const std::uint8_t* texel[4];
+  std::array<const std::uint8_t*, 4> texel;
   float fx, fy;
   float mix(int c) const {
     const float top = texel[0][c] * (1 - fx) + texel[1][c] * fx, bottom = texel[2][c] * (1 - fx) + texel[3][c] * fx;
@@ -68,15 +89,8 @@ struct Corners {
 };
 Corners corners_at(const Texture& texture, const vec2& uv) {
   const Image8& im = texture.image;
-  const vec2 q = place(texture.placement, uv);
-  const float x = texel_coordinate(q.x, im.width), y = texel_coordinate(q.y, im.height);
-  const float x0 = std::floor(x), y0 = std::floor(y);
-  const int xa = wrap(static_cast<int>(x0), im.width, texture.placement.wrap_u);
-  const int xb = wrap(static_cast<int>(x0) + 1, im.width, texture.placement.wrap_u);
-  const int ya = wrap(static_cast<int>(y0), im.height, texture.placement.wrap_v);
-  const int yb = wrap(static_cast<int>(y0) + 1, im.height, texture.placement.wrap_v);
-  const std::uint8_t* data = im.data.data();
-  return {{data + im.index(xa, ya), data + im.index(xb, ya), data + im.index(xa, yb), data + im.index(xb, yb)}, x - x0, y - y0};
+  const Around a(texture.placement, im.width, im.height, uv);
+  return {corners_of(a, texture.placement, im.width, im.height, im.data.data(), im.channels), a.fx, a.fy};
 }
 
 }  // namespace
@@ -111,18 +125,21 @@ const std::uint8_t* stacked_texel(const Paint& paint, const vec2& uv, const vec2
   return &paint.stack[(static_cast<std::size_t>(texel.y) * paint.stack_width + texel.x) * 3 * paint.coats.size()];
 }
 
-vec3 single_paint(const Paint::PerCoat& coat, const std::vector<std::shared_ptr<const Texture>>& textures, const vec2& uv,
-                  const vec3& vertex_color, const vec2& xi) {
+// Colour of a coat where it is read at this texel of its texture, if it has one.
+vec3 coat_color(const Paint::PerCoat& coat, const std::uint8_t* texel, int channels, const vec3& vertex_color) {
   const auto& srgb = srgb_table();
   vec3 color = coat.factor;
-  if (coat.texture >= 0) {
-    const Texture& tex = *textures[coat.texture];
-    const glm::ivec2 texel = choose_texel(tex.placement, tex.image.width, tex.image.height, uv, xi);
-    const std::uint8_t* s = &tex.image.data[tex.image.index(texel.x, texel.y)];
-    // One and two channels are grey and grey with alpha.
-    color *= tex.image.channels >= 3 ? vec3(srgb[s[0]], srgb[s[1]], srgb[s[2]]) : vec3(srgb[s[0]]);
-  }
+  // One and two channels are grey and grey with alpha.
+  if (texel) color *= channels >= 3 ? vec3(srgb[texel[0]], srgb[texel[1]], srgb[texel[2]]) : vec3(srgb[texel[0]]);
   return coat.vertex_colors ? color * vertex_color : color;
+}
+
+vec3 single_paint(const Paint::PerCoat& coat, const std::vector<std::shared_ptr<const Texture>>& textures, const vec2& uv,
+                  const vec3& vertex_color, const vec2& xi) {
+  if (coat.texture < 0) return coat_color(coat, nullptr, 0, vertex_color);
+  const Image8& im = textures[coat.texture]->image;
+  const glm::ivec2 at = choose_texel(textures[coat.texture]->placement, im.width, im.height, uv, xi);
+  return coat_color(coat, &im.data[im.index(at.x, at.y)], im.channels, vertex_color);
 }
 
 }  // namespace
@@ -143,22 +160,6 @@ void fetch_paint(const Paint& paint, const std::vector<std::shared_ptr<const Tex
   }
 }
 
-namespace {
-
-// The choices that choose_texel() makes of four numbers xi, and how often it makes each.
-constexpr vec2 corner_xi[4] = {{1, 1}, {0, 1}, {1, 0}, {0, 0}};
-void corner_weights(const TexturePlacement& placement, int width, int height, const vec2& uv, float* weight) {
-  const vec2 q = place(placement, uv);
-  const float x = texel_coordinate(q.x, width), y = texel_coordinate(q.y, height);
-  const float fx = x - std::floor(x), fy = y - std::floor(y);
-  weight[0] = (1 - fx) * (1 - fy);
-  weight[1] = fx * (1 - fy);
-  weight[2] = (1 - fx) * fy;
-  weight[3] = fx * fy;
-}
-
-}  // namespace
-
 PaintPoint find_paint(const Paint& paint, const vec2& uv, const vec3& vertex_color, const vec2& xi, bool all_four) {
   PaintPoint p;
   p.paint = &paint;
@@ -168,35 +169,42 @@ PaintPoint find_paint(const Paint& paint, const vec2& uv, const vec3& vertex_col
   p.vertex_color = vertex_color;
   if (paint.stack.empty()) return p;
   const std::size_t bytes = 3 * paint.coats.size();
-  if (all_four) corner_weights(paint.stack_placement, paint.stack_width, paint.stack_height, uv, p.weight);
-  for (int k = 0; k < (all_four ? 4 : 1); ++k) {
-    p.texel[k] = stacked_texel(paint, uv, all_four ? corner_xi[k] : xi);
-    for (std::size_t i = 0; i < bytes; i += 64) __builtin_prefetch(p.texel[k] + i);
-    __builtin_prefetch(p.texel[k] + bytes - 1);
+  if (all_four) {
+    const Around a(paint.stack_placement, paint.stack_width, paint.stack_height, uv);
+    p.texel = corners_of(a, paint.stack_placement, paint.stack_width, paint.stack_height, paint.stack.data(), bytes);
+    p.fx = a.fx;
+    p.fy = a.fy;
+  } else {
+    p.texel[0] = stacked_texel(paint, uv, xi);
+  }
+  for (const std::uint8_t* texel : p.texel) {
+    if (!texel) break;
+    for (std::size_t i = 0; i < bytes; i += 64) __builtin_prefetch(texel + i);
+    __builtin_prefetch(texel + bytes - 1);
   }
   return p;
 }
 
 void fetch_single_paints(const PaintPoint& p, const std::vector<std::shared_ptr<const Texture>>& textures, int first, float (*base)[8], float (*square)[8]) {
   const int n = static_cast<int>(p.paint->coats.size());
+  // The operations are those on a stack (path_kernel.h), so that a coat has the same bits in any batch.
+  const auto between = [](float a, float b, float f) { return std::fma(f, b - a, a); };
   for (int i = 0; i < 8; ++i) {
     for (int c = 0; c < 3; ++c) base[c][i] = square[c][i] = 0;
     if (first + i >= n) continue;
     const Paint::PerCoat& coat = p.paint->coats[first + i];
-    float weight[4] = {1, 0, 0, 0};
-    const bool all_four = p.all_four && coat.texture >= 0;
-    if (all_four) {
-      const Texture& texture = *textures[coat.texture];
-      corner_weights(texture.placement, texture.image.width, texture.image.height, p.uv, weight);
+    if (!p.all_four || coat.texture < 0) {
+      const vec3 color = single_paint(coat, textures, p.uv, p.vertex_color, p.xi);
+      for (int c = 0; c < 3; ++c) base[c][i] = color[c], square[c][i] = color[c] * color[c];
+      continue;
     }
-    // The operations are those on a stack (path_kernel.h), so that a coat has the same bits in any batch.
-    for (int k = 0; k < (all_four ? 4 : 1); ++k) {
-      const vec3 color = single_paint(coat, textures, p.uv, p.vertex_color, all_four ? corner_xi[k] : p.xi);
-      for (int c = 0; c < 3; ++c) {
-        const float part = weight[k] * color[c];
-        base[c][i] += part;
-        square[c][i] = std::fma(part, color[c], square[c][i]);
-      }
+    const Corners corners = corners_at(*textures[coat.texture], p.uv);
+    vec3 color[4];
+    for (int k = 0; k < 4; ++k) color[k] = coat_color(coat, corners.texel[k], textures[coat.texture]->image.channels, p.vertex_color);
+    for (int c = 0; c < 3; ++c) {
+      const float v[4] = {color[0][c], color[1][c], color[2][c], color[3][c]};
+      base[c][i] = between(between(v[0], v[1], corners.fx), between(v[2], v[3], corners.fx), corners.fy);
+      square[c][i] = between(between(v[0] * v[0], v[1] * v[1], corners.fx), between(v[2] * v[2], v[3] * v[3], corners.fx), corners.fy);
     }
   }
 }

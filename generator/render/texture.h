@@ -60,8 +60,8 @@ void fetch_paint(const Paint& paint, const std::vector<std::shared_ptr<const Tex
 // around the point: what is asked of them then is the mean of the colour and of its square, which is what the choice has in the mean.
 struct PaintPoint {
   const Paint* paint = nullptr;
-  const std::uint8_t* texel[4] = {};  // of the stack, if there is one; on their way into the cache
-  float weight[4] = {1, 0, 0, 0};
+  std::array<const std::uint8_t*, 4> texel{};  // of the stack, if there is one, the first alone or all; on their way into the cache
+  float fx = 0, fy = 0;                          // on the way from the left ones to the right, from the upper to the lower
   bool all_four = false;
   vec2 uv{0}, xi{0};
   vec3 vertex_color{1};

@@ -7,6 +7,7 @@
 // channels], top row first; colours are sRGB); environment maps as linear floats times their strength. Cameras are
 // OpenCV's, their world_to_camera relative to the origin. Everything else in scene.json has the names and units of
 // render/scene.h and light.h.
+#include <atomic>
 #include <filesystem>
 #include <optional>
 #include <string>
